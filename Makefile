@@ -44,7 +44,7 @@ help:
 	@echo "make native-verdicts  twz check and terrainwave verify, of the conformance set and 1,000 mutants"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
-	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
+	@echo "make release-check   sdist and wheels into dist/, built twice, installed without and with each extra"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
 	@echo "make conformance     the set for other readers of .twz, as dist/terrainwave-conformance-1.0.zip"
 	@echo "make clean           remove what these made"
@@ -55,22 +55,28 @@ $(VENV)/.created: tools/make_venv.sh
 	@sh tools/make_venv.sh "$(PYTHON)" "$(VENV)"
 	@touch $@
 
-$(VENV)/.installed: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+# What the native library beside the package is built of (src/terrainwave/native_sources.py).
+LIBRARY := $(wildcard native/CMakeLists.txt native/include/* native/python/*.* native/src/* src/terrainwave/annexes/*.*)
+# Packages are installed again where pyproject.toml has changed; else the library is built again.
+install = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	$(if $(filter $(VENV)/.created pyproject.toml,$?),,--no-deps) --editable
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) .
 	@touch $@
 
-$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) ".[dev]"
 	@touch $@ $(VENV)/.installed
 
-$(VENV)/.installed-bench: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
+$(VENV)/.installed-bench: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) ".[bench]"
 	@touch $@
 
 # --- what people run ---
 
-$(VENV)/.installed-demo: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[demo]"
+$(VENV)/.installed-demo: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) ".[demo]"
 	@touch $@
 
 demo: $(VENV)/.installed-demo
@@ -149,7 +155,7 @@ coverage: $(VENV)/.installed-dev
 long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@test -n "$(DATA)" || { echo "make long DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	@$(MAKE) --no-print-directory native-gdals
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check ./native/python
+	@$(MAKE) --no-print-directory native-fuzz RUNS=10000000
 	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 	$(BIN)/python -m faults.run --only signals --signals 223
@@ -158,8 +164,8 @@ bench: $(VENV)/.installed-bench
 	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	$(BIN)/python -m benchmarks.bench "$(DATA)" $(if $(ONLY),--only $(ONLY)) $(if $(AGAIN),--again $(AGAIN))
 
-$(VENV)/.installed-fuzz: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[fuzz]"
+$(VENV)/.installed-fuzz: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) ".[fuzz]"
 	@touch $@
 
 # Bounds are checked here: kernels have a cache of their own.
@@ -243,13 +249,13 @@ build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py native/fuzz/forced.py | 
 
 native-fuzz: system-native build/native/fuzz/seeds/files.txt
 	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)
-	@SECONDS_EACH=$$(($(SECONDS) / 2)) sh native/fuzz/run.sh build/native/fuzz
+	@$(if $(RUNS),RUNS=$(RUNS),SECONDS_EACH=$$(($(SECONDS) / 2))) sh native/fuzz/run.sh build/native/fuzz
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/mkdocs build --strict
 
-$(VENV)/.installed-release: $(VENV)/.created pyproject.toml
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[release]"
+$(VENV)/.installed-release: $(VENV)/.created pyproject.toml $(LIBRARY)
+	$(install) ".[release]"
 	@touch $@
 
 release-check: $(VENV)/.installed-release system
@@ -257,5 +263,5 @@ release-check: $(VENV)/.installed-release system
 
 clean:
 	rm -rf $(VENV) demo build dist .numba .pytest_cache .hypothesis .mypy_cache .ruff_cache
-	rm -f .coverage .coverage.*
+	rm -f .coverage .coverage.* src/terrainwave/libterrainwave.* src/terrainwave/native.json
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

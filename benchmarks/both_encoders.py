@@ -131,7 +131,7 @@ def compare(number: int, most: tuple[int, int]) -> Row:
 def main(count: int, most: str, folder: Path, out: Path) -> None:
     """Compare, print, and write the CSV."""
     if native_library.loaded() is None:
-        raise click.UsageError("found no terrainwave-native: pip install ./native/python")
+        raise click.UsageError("found no native library: terrainwave doctor says why")
     n_rows, n_cols = (int(part) for part in most.split("x"))
 
     def rows() -> Iterator[Row]:

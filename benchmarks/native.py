@@ -1,10 +1,10 @@
 """What reading takes with the native library and without: ``python -m benchmarks.native DIR``.
 
-The package terrainwave-native must be installed (``pip install ./native/python``). One thread on
-one core, processor time, from opening a file to closing it; readers take turns. "whole" is the full
-grid, "window" 512 samples a side in the middle of it; the COG (LERC_ZSTD, blocks of 512) is made by
-GDAL of the same GeoTIFF. "first" is a process of its own that reads the whole file where no kernel
-has been compiled yet, from the start of Python to its end, "again" the same once more.
+The native library must be there (``terrainwave doctor``). One thread on one core, processor time,
+from opening a file to closing it; readers take turns. "whole" is the full grid, "window" 512
+samples a side in the middle of it; the COG (LERC_ZSTD, blocks of 512) is made by GDAL of the same
+GeoTIFF. "first" is a process of its own that reads the whole file where no kernel has been compiled
+yet, from the start of Python to its end, "again" the same once more.
 
 Exit status: 0 good; 1 heights differ with and without; 2 wrong usage.
 """
@@ -112,7 +112,7 @@ def measure(paths, bounds, n_runs: int, n_first: int, folder: Path) -> Iterator[
 def main(paths, bounds, runs, first_runs, folder, out) -> None:
     """Measure reading with the native library and without."""
     if native.installed() is None:
-        raise click.UsageError("found no terrainwave-native: pip install ./native/python")
+        raise click.UsageError("found no native library: terrainwave doctor says why")
     common.pin_to_cores()
     with rasterio.Env():
         common.write_rows(out, measure(paths, bounds, runs, first_runs, folder))

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from native_site import site, with_library  # noqa: F401  fixtures
+from native_site import can_build, is_built, library, way, with_library  # noqa: F401  fixtures
 
 from terrainwave.coding.jit import all_compiled
 
-# What is tested is this package's own decoder, also where terrainwave-native is installed: that has
-# tests that switch it on (tests/read/test_native.py).
+# What is tested is Python's codecs; tests of the native library switch it on, and those of
+# BOTH_WAYS run with it, too.
 os.environ["TERRAINWAVE_NATIVE"] = "0"
 
 # A silent overflow in an encoder is a broken bound in a file.
@@ -45,7 +45,8 @@ WITHOUT_KERNELS = {
     "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
     "test_docs.py", "test_examples.py", "test_extras.py", "test_logging.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
-    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py",
+    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py", "test_install_lines.py",
+    "test_workflows.py", "test_release.py",
 }  # fmt: skip
 # Tests of whole files, marked `files` and `large`: what their kernels compute has tests of its own.
 # The others with kernels run with bounds checked, and as plain Python unless they are `large`.
@@ -54,9 +55,11 @@ OF_FILES = {
     "test_lods.py", "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py",
     "test_terrain.py", "test_unmeasured.py", "test_voids.py",
 }  # fmt: skip
+# Tests of the main paths: they run without the native library, and once more with it.
+BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "test_verify.py"}
 # The longest of all. Then workers begin at different ends of what compiles, or both would compile
 # the same: codecs, meshes.
-FIRST = ("test_warmup.py", "test_terrain.py", "tri")
+FIRST = ("test_warmup.py", "test_containers.py", "test_compilers.py", "test_terrain.py", "tri")
 
 
 def pytest_configure(config):
@@ -98,8 +101,16 @@ def _lacks_gdal() -> bool:
 
 def _lacks_compilers() -> bool:
     """Say whether the native library cannot be built as our targets do, or was never tried here."""
-    has_tools = all(map(shutil.which, ("cmake", "cc")))
-    return sys.platform != "linux" or (not has_tools and shutil.which("apt-get") is None)
+    has_none = not can_build() and shutil.which("apt-get") is None
+    return sys.platform != "linux" or has_none
+
+
+def pytest_generate_tests(metafunc):
+    """Run tests of the main paths both ways."""
+    if Path(metafunc.module.__file__).name in BOTH_WAYS:
+        metafunc.fixturenames.append("way")
+        ways = ["numba", pytest.param("c", marks=pytest.mark.native)]
+        metafunc.parametrize("way", ways, indirect=True)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -107,7 +118,8 @@ def pytest_collection_modifyitems(config, items):
     n_tests = Counter(item.path for item in items)
     for item in items:
         parts = item.path.relative_to(TESTS).parts
-        if WITHOUT_KERNELS.isdisjoint(parts):
+        is_by_c = getattr(item, "callspec", None) and item.callspec.params.get("way") == "c"
+        if WITHOUT_KERNELS.isdisjoint(parts) and not is_by_c:
             item.add_marker("kernels")
         if not OF_FILES.isdisjoint(parts):
             item.add_marker("large")
@@ -118,12 +130,16 @@ def pytest_collection_modifyitems(config, items):
         "gl": bool(_why_no_gl()),
         "qgis": _lacks_qgis(),
         "gdal": _lacks_gdal(),
-        "native": _lacks_compilers(),
+        "native": _lacks_compilers() and not is_built(),
     }
     marks = [mark for mark, is_missing in missing.items() if is_missing]
+    # `make test` installs no compiler: there the library is as pip has built it, or missing.
+    lacks_library = not (is_built() or can_build())
     left_out = [
         item for item in items
         if any(map(item.get_closest_marker, marks)) or _is_for_other_systems(item)
+        or (lacks_library and item.get_closest_marker("native")
+            and not item.get_closest_marker("full"))
     ]  # fmt: skip
     if left_out:
         config.hook.pytest_deselected(items=left_out)
@@ -144,6 +160,12 @@ def _turn(path: Path) -> int:
     """Return the place of a test's file or directory in `FIRST`, or the one after all of them."""
     parts = path.relative_to(TESTS).parts
     return next((i for i, name in enumerate(FIRST) if name in parts), len(FIRST))
+
+
+def pytest_collection_finish():
+    """Let pytest say in short where two values differ: in CI it compares large files for hours."""
+    for name in ("CI", "BUILD_NUMBER"):
+        os.environ.pop(name, None)
 
 
 def pytest_sessionfinish(session):

@@ -1,15 +1,16 @@
-"""The native library as the wheel terrainwave-native has it: built once, and found by the package.
+"""The native library beside the package, as an editable installation has it; tests that turn it on.
 
-Fixtures, which conftest.py imports: `site`, a folder with the package; `with_library`.
+Fixtures, which conftest.py imports: `library`, the path of one that fits; `with_library`.
 """
 
+import runpy
 import shutil
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from terrainwave import native_sources
 from terrainwave.coding import native_library
 from terrainwave.read import native
 
@@ -23,44 +24,54 @@ def forget_library():
     native.installed.cache_clear()
 
 
+def is_built() -> bool:
+    """Return whether there is a library, of these sources."""
+    try:
+        return native_library.find_library() is not None
+    except (native_library.MissingLibraryError, OSError):
+        return False
+
+
+def can_build() -> bool:
+    """Return whether the programs are here that build it."""
+    return all(map(shutil.which, ("cmake", "cc")))
+
+
 @contextmanager
-def found_at(folder):
-    """Let terrainwave find the package in a folder, as if it were installed; None: nowhere."""
+def found_at(path):
+    """Let terrainwave find its library at another path, where there may be none."""
     forget_library()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(native_library.SWITCH, "1")
-        patch.delitem(sys.modules, native_library.PACKAGE, raising=False)
-        if folder is None:
-            patch.setitem(sys.modules, native_library.PACKAGE, None)
-        else:
-            patch.syspath_prepend(folder)
+        patch.setattr(native_sources, "LIBRARY", path)
         yield
-        sys.modules.pop(native_library.PACKAGE, None)
     forget_library()
 
 
 @pytest.fixture(scope="session")
-def site(tmp_path_factory):
-    """Return a folder with the package terrainwave_native in it."""
-    import fcntl
+def library():
+    """Return the path of the library beside the package, built if that is not done."""
+    if not is_built():
+        import fcntl
 
-    sys.path.append(str(PROJECT))
-    import hatch_build
-
-    build = ROOT / "build" / "native" / "wheel"
-    build.mkdir(parents=True, exist_ok=True)
-    with open(build / "lock", "w", encoding="utf-8") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # one of several workers builds
-        library = hatch_build.build_library(build)
-    folder = tmp_path_factory.mktemp("site")
-    package = shutil.copytree(
-        PROJECT / "src" / native_library.PACKAGE, folder / native_library.PACKAGE
-    )
-    shutil.copy(library, package / f"libterrainwave{library.suffix}")
-    return folder
+        lock = ROOT / "build" / "native" / "lock"
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        with open(lock, "w", encoding="utf-8") as file, pytest.MonkeyPatch.context() as patch:
+            fcntl.flock(file, fcntl.LOCK_EX)  # one of several workers builds
+            patch.setenv("TERRAINWAVE_BUILD", "require")
+            if not is_built():
+                runpy.run_path(str(PROJECT / "hatch_build.py"))["put_beside_package"]()
+    return native_sources.LIBRARY
 
 
 @pytest.fixture
-def with_library(site):
-    with found_at(site):
+def with_library(library):
+    with found_at(library):
         yield
+
+
+@pytest.fixture
+def way(request):
+    """Let a test run without the library ("numba") or with it ("c"): `conftest.BOTH_WAYS`."""
+    if request.param == "c":
+        request.getfixturevalue("with_library")

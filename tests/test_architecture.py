@@ -23,7 +23,7 @@ PACKAGE = REPOSITORY / "src" / "terrainwave"
 PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
 ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "forks", "cache"}
-ROOT |= {"interrupts", "option_sets", "annexes"}
+ROOT |= {"interrupts", "option_sets", "annexes", "native_sources"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
@@ -34,6 +34,7 @@ MAY_IMPORT = {
     "progress": {"errors", "arguments", "interrupts"},
     "extras": {"errors"},
     "annexes": {"errors"},
+    "native_sources": set(),
     "names": set(),
     "forks": set(),
     "cache": {"forks"},

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import terrainwave
+from terrainwave import native_sources
 from terrainwave.ext import pyinstaller
 from terrainwave.names import METHODS
 
@@ -38,6 +39,14 @@ def test_the_hook_names_all_annexes():
     assert kept
     for path in kept:
         assert Path(datas[str(path)]) == Path("terrainwave") / "annexes"
+
+
+@pytest.mark.native
+def test_the_hook_names_the_native_library(library):
+    found = runpy.run_path(Path(HOOKS) / "hook-terrainwave.py")
+    assert (str(library), "terrainwave") in found["binaries"]
+    # The note has the digest that the library is compared with.
+    assert str(native_sources.NOTE) in dict(found["datas"])
 
 
 def test_pyinstaller_finds_the_hook():

@@ -317,7 +317,7 @@ def test_golden_files_have_all_that_format_rapid_names():
     assert set().union(*(seen_in(path.read_bytes()) for path in paths)) == {
         *(f"parameters of {n} bytes" for n in (0, 1, 2)),
         *(f"{n} states" for n in (1, 8, 32)),
-        *(f"{n} bands" for n in (1, 2, 3, 4)),
+        *(f"{n} bands" for n in (1, 3, 4)),  # as long as two take, no golden file is
         *("narrow", "a shift", "wide", "an origin", "shared lines", "no HH", "no HL", "no LH"),
         *("a pair", "a sample", "the last symbol of a pair", "the last symbol of a sample"),
         *("a void", "a detail of a void"),

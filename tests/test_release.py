@@ -34,19 +34,15 @@ def stated_versions(root):
     project = re.search(
         r"^project\(terrainwave VERSION (\S+) ", (root / "native/CMakeLists.txt").read_text(), re.M
     )
-    project_file = tomllib.loads((root / "pyproject.toml").read_text())
-    extras = project_file["project"]["optional-dependencies"]
+    name = "src/terrainwave/_version.py"
     stated = {
-        "pyproject.toml": "".join(extras["native"]).removeprefix("terrainwave-native=="),
+        name: runpy.run_path(root / name)["__version__"],
         "js/package.json": json.loads((root / "js/package.json").read_text())["version"],
         "qgis/terrainwave_plugin/metadata.txt": plugin["general"]["version"],
         "CITATION.cff": yaml.safe_load((root / "CITATION.cff").read_text())["version"],
         "native/CMakeLists.txt": project[1],
         "native/include/terrainwave.h": dict(defined),
     }
-    for name in ("src/terrainwave", "native/python/src/terrainwave_native"):
-        name += "/_version.py" if name.startswith("src") else "/__init__.py"
-        stated[name] = runpy.run_path(root / name)["__version__"]
     for name in ("conda/recipe.yaml", "conda/gdal/recipe.yaml"):
         stated[name] = yaml.safe_load((root / name).read_text())["context"]["version"]
     return stated
@@ -104,8 +100,14 @@ def test_conda_installs_what_pip_does():
     installed = [re.sub(r"\s", "", name) for name in recipe["requirements"]["run"]]
     assert installed == ["python>=${{python_min}}", *project["dependencies"]]
     assert recipe["context"]["python_min"] == project["requires-python"].removeprefix(">=")
-    (script,) = project["scripts"].items()
-    assert recipe["build"]["python"]["entry_points"] == ["{} = {}".format(*script)]
+
+
+def test_conda_compiles_the_library():
+    """A package for any platform has none."""
+    recipe = yaml.safe_load(text_of("conda/recipe.yaml"))
+    assert "noarch" not in recipe["build"]
+    assert recipe["build"]["script"]["env"] == {"TERRAINWAVE_BUILD": "require"}
+    assert '${{ compiler("c") }}' in recipe["requirements"]["build"]
 
 
 def test_actions_of_workflows_are_pinned_to_commits():

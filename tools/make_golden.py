@@ -304,7 +304,7 @@ EXERCISES = {
     "rapid-int16-blocks": "step 3, blocks of 64, voids by nodata",
     "rapid-int16-mask": "a mask of its own, pairs of which one sample is void",
     "rapid-int16-town": "cliffs in gentle ground: samples that go on (R.9)",
-    "rapid-int16-bands": "two bands of a group",
+    "rapid-int16-bands": "rough ground, raw bits beside symbols",
     "rapid-uint8": "a step of 3, degrees",
     "rapid-uint8-root": "a root block alone, parameters of one byte",
     "rapid-int32-mask": "a mask of its own, a large step",

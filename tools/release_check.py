@@ -1,19 +1,22 @@
 """A release as its users get it: built, looked at, installed in fresh environments, and used.
 
-Makes sdist and wheel into ``dist/``, makes them once more from a copy of what git has, and compares
-the bytes. Then installs the wheel alone, with each extra, and with all of them in their
-newest and in the lowest versions that pyproject.toml allows; and runs there the commands and the
-Python of the README and of the quick start, in an empty folder with a small raster. What is not
-installed must be asked for by one line that names the extra.
+Makes the sdist, the wheel with the native library and the wheel for any platform into ``dist/``,
+makes them once more from a copy of what git has, and compares the bytes. Then installs the wheel
+that pip takes here alone, with each extra, and with all of them in their newest and in the lowest
+versions that pyproject.toml allows, and the wheel for any platform alone; and runs there the
+commands and the Python of the README and of the quick start, in an empty folder with a small
+raster. What is not installed must be asked for by one line that names the extra.
 """
 
 import functools
 import os
 import re
+import shutil
 import statistics
 import subprocess
 import sys
 import tarfile
+import tempfile
 import time
 import tomllib
 import zipfile
@@ -29,6 +32,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from benchmarks.common import ROOT, ListOption, command, option, write_rows
+from terrainwave import native_sources
 from tools.release_uses import TYPED, USES
 
 DOCUMENTS = ("README.md", "docs/index.md")
@@ -38,7 +42,7 @@ TESTS = ("tests/test_terrain.py", "tests/test_golden.py", "tests/codec", "tests/
 TEST_PACKAGES = ("pytest", "hypothesis", "scipy")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = [name for name in PROJECT["optional-dependencies"] if name not in NOT_FOR_USERS]
-ENVIRONMENTS = ["core", *EXTRAS, "newest", "lowest"]
+ENVIRONMENTS = ["core", "any", *EXTRAS, "newest", "lowest"]
 
 Built = namedtuple("Built", "file n_files n_bytes same_again")
 Row = namedtuple(
@@ -49,18 +53,45 @@ Row = namedtuple(
 Ended = namedtuple("Ended", "line outcome last")
 
 
-# --- sdist and wheel ---
+# --- sdist and wheels ---
 
 
 def build(source: Path, target: Path) -> list[Path]:
-    """Make sdist, and wheel from it, of the time of the last commit; return both."""
+    """Make the sdist, and both wheels from it, of the time of the last commit; return all.
+
+    auditwheel names the wheel with the library after the oldest glibc that has what it needs.
+    """
     stamp = subprocess.check_output(["git", "-C", ROOT, "log", "-1", "--format=%ct"], text=True)
-    subprocess.run(
-        [sys.executable, "-m", "build", "--no-isolation", "--outdir", target, source],
-        env=os.environ | {"SOURCE_DATE_EPOCH": stamp.strip()}, check=True,
-        stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+    # Programs of this environment first: cmake is one of them.
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    variables = os.environ | {"SOURCE_DATE_EPOCH": stamp.strip(), "PATH": path}
+
+    def run(*words: str | Path, how: str = "none") -> None:
+        subprocess.run(
+            [sys.executable, "-m", *words], env=variables | {"TERRAINWAVE_BUILD": how}, check=True,
+            stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    build = ("build", "--no-isolation")
+    run(*build, "--sdist", "--outdir", target, source)
+    (sdist,) = target.glob("terrainwave-*.tar.gz")
+    with tempfile.TemporaryDirectory() as name:
+        unpacked, folder = unpack(sdist, Path(name)), Path(name) / "wheels"
+        run(*build, "--wheel", "--outdir", target, unpacked)
+        run(*build, "--wheel", "--outdir", folder, unpacked, how="require")
+        (wheel,) = folder.glob("*.whl")
+        if sys.platform == "linux":
+            run("auditwheel", "repair", "--patcher", "none", "--wheel-dir", target, wheel)
+        else:
+            shutil.copy(wheel, target)
     return sorted(target.glob("terrainwave-*"))
+
+
+def kind_of(name: str) -> str:
+    """Return "sdist", "any" for the wheel for any platform, "here" for that of this one."""
+    if name.endswith(".tar.gz"):
+        return "sdist"
+    return "any" if name.endswith("-any.whl") else "here"
 
 
 def unpack(sdist: Path, folder: Path) -> Path:
@@ -78,19 +109,21 @@ def contents(path: Path) -> set[str]:
         return {member.name.split("/", 1)[1] for member in archive if member.isfile()}
 
 
-def expected_contents() -> dict[str, set[str]]:
-    """Return what belongs into sdist and wheel, by ending: what git has, and no more."""
+def expected_contents(path: Path) -> set[str]:
+    """Return what belongs into the sdist or a wheel: what git has, the library, its note."""
     listed = subprocess.check_output(["git", "-C", ROOT, "ls-files"], text=True).splitlines()
     about = f"terrainwave-{version()}.dist-info"
     licences = {f"licenses/{name}" for name in PROJECT["license-files"]}
     generated = {"METADATA", "RECORD", "WHEEL", "entry_points.txt"}
-    wheel = {f"{about}/{name}" for name in licences | generated}
+    wheel = {f"{about}/{name}" for name in licences | generated} | {"terrainwave/native.json"}
+    if not path.name.endswith("-any.whl"):
+        wheel.add(f"terrainwave/{native_sources.NAME}")
     for name in listed:
         if name.startswith("src/"):
             wheel.add(name.removeprefix("src/"))
         elif name.startswith(("js/src/", "js/map/", "js/notebook/")) or name == "js/LICENSE":
             wheel.add(name.replace("js/", "terrainwave/ext/serve/reader/", 1))
-    return {".whl": wheel, ".gz": {*listed, "PKG-INFO"}}
+    return wheel if path.suffix == ".whl" else {*listed, "PKG-INFO"}
 
 
 def version() -> str:
@@ -100,7 +133,7 @@ def version() -> str:
 
 
 def built_twice(folder: Path) -> Iterator[Built]:
-    """Make sdist and wheel into ``dist/``; say of each if a copy of what git has makes the same.
+    """Make sdist and wheels into ``dist/``; say of each if a copy of what git has makes the same.
 
     Raises
     ------
@@ -122,20 +155,12 @@ def built_twice(folder: Path) -> Iterator[Built]:
         packed.extractall(copy, filter="data")
     again = build(copy, folder / "again")
     for path, other in zip(made, again, strict=True):
-        found, expected = contents(path), expected_contents()[path.suffix]
+        found, expected = contents(path), expected_contents(path)
         if found != expected:
             different = ", ".join(sorted(found ^ expected)[:8])
             raise click.ClickException(f"{path.name} and git do not have the same: {different}")
         same = path.read_bytes() == other.read_bytes()
         yield Built(path.name, len(found), path.stat().st_size, same)
-
-
-def build_native() -> None:
-    """Make the wheel of the native library into ``dist/``, for the environments."""
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
-    subprocess.run(
-        [*pip, "--no-deps", "--wheel-dir", ROOT / "dist", ROOT / "native" / "python"], check=True
-    )
 
 
 # --- environments ---
@@ -160,7 +185,7 @@ def extras_of(environment: str) -> list[str]:
     """Return the extras that are installed there."""
     if environment in EXTRAS:
         return [environment]
-    return [] if environment == "core" else EXTRAS
+    return [] if environment in ("core", "any") else EXTRAS
 
 
 class Environment:
@@ -189,9 +214,7 @@ class Environment:
             "--disable-pip-version-check",
             "install",
         ]
-        # The wheel of the native library is not of the same release yet elsewhere.
-        own = ["--find-links", ROOT / "dist"]
-        subprocess.run([*pip, "--quiet", "--upgrade", *own, *self.limits, *arguments], check=True)
+        subprocess.run([*pip, "--quiet", "--upgrade", *self.limits, *arguments], check=True)
 
     def run(self, line: str, folder: Path, seconds: float = 900) -> subprocess.CompletedProcess:
         """Run a line of a shell with this environment's programs and none of its caller's."""
@@ -322,7 +345,8 @@ def ended(environment: Environment, kind: str, text: str, folder: Path) -> Ended
 def used(environment: Environment, folder: Path) -> list[Ended]:
     """Use each extra that is installed for what it is there for."""
     found = []
-    for extra in ["core", *extras_of(environment.name)]:
+    with_library = [] if environment.name == "any" else ["library"]
+    for extra in ["core", *with_library, *extras_of(environment.name)]:
         (folder / "use.py").write_text(USES[extra], encoding="utf-8")
         done = environment.run("python use.py", folder)
         lines = done.stderr.strip().splitlines()
@@ -366,7 +390,7 @@ def tested(environment: Environment, sdist: Path, folder: Path) -> tuple[int, in
 def check(name: str, python: str, dist: dict[str, Path], folder: Path, *, tests: bool) -> Row:
     """Make an environment, and do there what its row of the CSV says."""
     click.echo(f"{name} ...")
-    environment = Environment(name, python, dist[".whl"], folder)
+    environment = Environment(name, python, dist["any" if name == "any" else "here"], folder)
     packages = environment.packages()
     ends: list[Ended] = []
     for document in DOCUMENTS:
@@ -379,7 +403,7 @@ def check(name: str, python: str, dist: dict[str, Path], folder: Path, *, tests:
         uses.append(typed(environment, place))
     passed = failed = ""
     if tests and name in ("newest", "lowest"):
-        passed, failed = map(str, tested(environment, dist[".gz"], folder / name))
+        passed, failed = map(str, tested(environment, dist["sdist"], folder / name))
     outcomes = [end.outcome for end in ends]
     asked = sorted(set(outcomes) - {"ran", "failed"})
     named = {canonicalize_name(Requirement(text).name) for text in requirements_of(extras_of(name))}
@@ -415,8 +439,7 @@ def main(
 ) -> None:
     """Build, install, use; exit 1 if anything failed."""
     files = write_rows(out.with_name(f"{out.stem}_files.csv"), built_twice(folder))
-    build_native()
-    dist = {Path(row.file).suffix: ROOT / "dist" / row.file for row in files}
+    dist = {kind_of(row.file): ROOT / "dist" / row.file for row in files}
     do = functools.partial(check, python=python, dist=dist, folder=folder, tests=tests)
     rows = write_rows(out, (do(name) for name in only), append=append)
     is_bad = any(row.problems or row.tests_failed not in ("", "0") for row in rows)

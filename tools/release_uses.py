@@ -1,4 +1,4 @@
-"""What each extra is installed for, as programs that run where ``dem.tif`` and ``dem.twz`` are."""
+"""Uses of the package, the library and each extra: programs next to ``dem.tif``, ``dem.twz``."""
 
 USES = {
     "core": """
@@ -88,7 +88,7 @@ import subprocess
 subprocess.run(["terrainwave", "tiles", "dem.twz", "dem.pmtiles"], check=True)
 assert open("dem.pmtiles", "rb").read(7) == b"PMTiles"
 """,
-    "native": """
+    "library": """
 import os, subprocess, sys
 read = '''import sys, terrainwave
 with terrainwave.open("dem.twz") as terrain:

@@ -38,7 +38,6 @@ def number(index: int) -> Callable[[str], str]:
 # What stands before the version in a file and after it, and how it is spelled there.
 PLACES = [
     ("src/terrainwave/_version.py", '__version__ = "', '"', whole),
-    ("pyproject.toml", '\nnative = ["terrainwave-native==', '"', whole),
     ("js/package.json", '"version": "', '"', of_npm),
     ("qgis/terrainwave_plugin/metadata.txt", "\nversion=", "\n", whole),
     ("conda/recipe.yaml", 'version: "', '"', whole),
@@ -49,7 +48,6 @@ PLACES = [
     ("native/include/terrainwave.h", "\n#define TWZ_VERSION_MAJOR ", "\n", number(0)),
     ("native/include/terrainwave.h", "\n#define TWZ_VERSION_MINOR ", "\n", number(1)),
     ("native/include/terrainwave.h", "\n#define TWZ_VERSION_PATCH ", "\n", number(2)),
-    ("native/python/src/terrainwave_native/__init__.py", '__version__ = "', '"', whole),
 ]
 
 

@@ -57,6 +57,47 @@ static uint64_t read_window(twz_file *file, int level, const twz_box *box, memor
   return so_far;
 }
 
+/* Heights at points of a level from one end to the other, and at its edges. */
+static uint64_t read_points(twz_file *file, int level, const twz_level *size, memory *source, uint64_t so_far) {
+  enum { N = 9 };
+  double rows[N], cols[N], heights[N];
+  twz_error error;
+  twz_points *points;
+  twz_points_request request = TWZ_POINTS_REQUEST;
+  request.level = level;
+  request.interpolation = level % 2 ? TWZ_NEAREST : TWZ_BILINEAR;
+  request.n_points = N;
+  request.rows = rows;
+  request.cols = cols;
+  request.heights = heights;
+  for (int i = 0; i < N; i++) {
+    rows[i] = (size->n_rows - 1) * (i / (N - 1.0));
+    cols[i] = (size->n_cols - 1) * ((i * 5 % N) / (N - 1.0));
+  }
+  twz_status status = twz_points_new(file, &request, &points, &error);
+  if (status == TWZ_OK) status = twz_points_read(points, fetch, source, NULL, &error);
+  twz_points_free(points);
+  so_far = mix(so_far, &status, sizeof status);
+  return status == TWZ_OK ? mix(so_far, heights, sizeof heights) : so_far;
+}
+
+/* The same bytes in memory: nothing is read beyond them. What is wrong may be found elsewhere. */
+static void read_borrowed(const uint8_t *bytes, size_t n) {
+  twz_options options = TWZ_OPTIONS;
+  options.max_bytes = (uint64_t)64 << 20;
+  twz_file *file;
+  twz_error error;
+  if (twz_file_new(&options, n, &file, &error) != TWZ_OK) return;
+  if (twz_file_borrow(file, bytes, &error) == TWZ_OK) {
+    for (int level = 0; level < twz_file_info(file)->n_levels; level++) {
+      twz_level size;
+      twz_file_level(file, level, &size, &error);
+      read_points(file, level, &size, NULL, 0);
+    }
+  }
+  twz_file_free(file);
+}
+
 /* The first samples of each level and the last ones. */
 static uint64_t read_all(const uint8_t *bytes, size_t n, twz_kernels kernels) {
   twz_options options = TWZ_OPTIONS;
@@ -75,6 +116,7 @@ static uint64_t read_all(const uint8_t *bytes, size_t n, twz_kernels kernels) {
     twz_file_level(file, level, &size, &error);
     twz_box box = {0, 0, size.n_rows < SIDE ? size.n_rows : SIDE, size.n_cols < SIDE ? size.n_cols : SIDE};
     found = read_window(file, level, &box, &source, found);
+    found = read_points(file, level, &size, &source, found);
     if (size.n_rows == box.n_rows && size.n_cols == box.n_cols) continue;
     box.row = size.n_rows - box.n_rows;
     box.col = size.n_cols - box.n_cols;
@@ -87,6 +129,7 @@ static uint64_t read_all(const uint8_t *bytes, size_t n, twz_kernels kernels) {
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t n);
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t n) {
   uint64_t baseline = read_all(bytes, n, TWZ_KERNELS_BASELINE);
+  read_borrowed(bytes, n);
   if (n < 35 || bytes[34] != TWZ_RAPID) return 0; /* other methods have one kind of kernels */
   uint64_t found = read_all(bytes, n, baseline & 1 ? TWZ_KERNELS_AVX2 : TWZ_KERNELS_AVX512);
   if (found && found != baseline) abort();

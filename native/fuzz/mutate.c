@@ -147,6 +147,7 @@ static int read_piece(parts *p, const grid *g, place head, const uint8_t *bytes,
   at = load_u64(page + 4);
   for (int i = 0; i < l->n_heads; i++) {
     uint64_t of_page = number_of(lengths, l->n_heads, 4, i), own = number_of(lengths + 4 * l->n_heads, l->n_heads, 8, i);
+    if (own > n || own < of_page) break; /* damaged: sums beyond the file's end would wrap */
     if (own) s->children[i] = read_piece(p, g, l->heads[i], bytes, n, pages, of_page, at);
     pages += of_page;
     at += own - of_page;

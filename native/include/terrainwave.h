@@ -16,7 +16,8 @@
  *     twz_file_free(file);
  *
  * twz_file_load and twz_window_load are loops of need, fetch and feed; a caller that cannot wait (a
- * page, an event loop) writes the loop itself.
+ * page, an event loop) writes the loop itself. A file that lies in memory, read or mapped, needs none
+ * of them: twz_file_borrow. Heights at points: twz_points_new.
  *
  * Errors. Functions that can fail return a twz_status. If `error` is not NULL it gets the status and
  * one line of English that names what was found, and is meant for people. After an error of a window
@@ -32,8 +33,18 @@
  * file at once, each with windows of its own. twz_window_decode can use threads of the caller's
  * (twz_workers); twz_pool has some for callers that have none.
  *
- * Structures that callers allocate have fields named `reserved`, which later releases may use: the library
- * sets those of its results to 0; set the others to 0, as `twz_workers workers = {0};` does.
+ * Long calls. Each can say how far it is, and be ended: by twz_workers.report where it decodes or checks,
+ * by the caller's fetch where it loads.
+ *
+ * Binary interface. A program that was built with release 1.x runs with the library of each later
+ * release 1.y, without being built again; the SONAME has the first number. For this, structures
+ *   begin with their size, and may grow:  twz_options, twz_workers, twz_points_request
+ *   have fields `reserved` for more:      twz_error, twz_allocator, twz_locks, twz_range, twz_level, twz_block
+ *   belong to the library, and may grow:  twz_info
+ *   never change:                         twz_box
+ * Begin the first with their macros (`twz_workers workers = TWZ_WORKERS;`), which set the size and the
+ * defaults. The library sets `reserved` of its results to 0; set those of others to 0. Numbers of
+ * enumerations keep their meaning, and others may come: expect some that are not listed here.
  *
  * Words. Level 0 is the coarsest, n_levels - 1 the full grid; negative numbers count from the finest,
  * which is -1. Rows and columns are those of a level. A raw height is what the source stored;
@@ -80,7 +91,8 @@ typedef enum twz_status {
   TWZ_NO_MEMORY,    /* the allocator returned NULL */
   TWZ_BAD_ARGUMENT, /* the call is wrong: an empty window, a level that does not exist */
   TWZ_NOT_READY,    /* bytes are missing: need, fetch and feed first */
-  TWZ_FETCH_FAILED  /* the caller's fetch returned nonzero */
+  TWZ_FETCH_FAILED, /* the caller's fetch returned nonzero */
+  TWZ_CANCELLED     /* the caller's report returned nonzero */
 } twz_status;
 
 typedef struct twz_error {
@@ -116,7 +128,6 @@ typedef enum twz_kernels {
   TWZ_KERNELS_AVX512
 } twz_kernels;
 
-/* Begin with `twz_options options = TWZ_OPTIONS;`: later releases may add fields at the end. */
 typedef struct twz_options {
   size_t size;             /* sizeof(twz_options) */
   twz_allocator allocator;
@@ -167,6 +178,16 @@ TWZ_API twz_status twz_file_feed(twz_file *file, uint64_t offset, const void *by
                                  twz_error *error);
 /* Need, fetch and feed until the file is open. */
 TWZ_API twz_status twz_file_load(twz_file *file, twz_fetch fetch, void *source, twz_error *error);
+/*
+ * Instead of these: open a file all of whose bytes lie in memory, read or mapped, and stay there unchanged until
+ * twz_file_free. Its windows and points need no bytes: ..._need never asks for any, ..._load and twz_file_check do not
+ * call fetch, which may be NULL. Payloads are decoded where they lie; only what a decoder may read past the end of
+ * the file is copied.
+ */
+TWZ_API twz_status twz_file_borrow(twz_file *file, const void *bytes, twz_error *error);
+
+/* Keep at most n_bytes of decoded units from now on, instead of twz_options.cache_bytes; what is more goes at once. */
+TWZ_API void twz_file_limit_cache(twz_file *file, uint64_t n_bytes);
 
 /* ---- What a file says of itself ------------------------------------------------------------ */
 
@@ -275,17 +296,32 @@ TWZ_API twz_status twz_window_feed(twz_window *window, uint64_t offset, const vo
 TWZ_API twz_status twz_window_load(twz_window *window, twz_fetch fetch, void *source, twz_error *error);
 
 /*
- * The caller's threads. `run` calls task(argument, index, worker) once for each index 0 ... n - 1, on
- * whatever threads, and returns when all calls have returned; `worker` tells calls apart that run
- * at the same time: 0 ... n_workers - 1.
+ * The caller's threads, and whom to tell how far a long call is.
+ *
+ * `run` calls task(argument, index, worker) once for each index 0 ... n - 1, on whatever threads, and returns when
+ * all calls have returned; `worker` tells calls apart that run at the same time: 0 ... n_workers - 1.
+ *
+ * `report` is called between pieces of work, on the thread that made the call: n_done of n_all are done, of units
+ * that no other call decoded before, of points, or of bytes that are checked. It returns 0 to go on; anything else ends
+ * the call with TWZ_CANCELLED. Then the same call goes on where it ended, if it is made again; but twz_window_decode_into
+ * and twz_file_check begin anew.
+ *
+ *     twz_workers workers = TWZ_WORKERS;                       this thread works
+ *     workers = *twz_pool_workers(pool);                       or those of a pool
+ *     workers.report = report;
  */
 typedef void (*twz_task)(void *argument, size_t index, size_t worker);
 typedef struct twz_workers {
-  void *context;
-  size_t n_workers; /* at least 1 */
-  void (*run)(void *context, size_t n, twz_task task, void *argument);
-  void *reserved[2];
+  size_t size;      /* sizeof(twz_workers) */
+  void *context;    /* of run */
+  size_t n_workers; /* at least 1; without run 1 */
+  void (*run)(void *context, size_t n, twz_task task, void *argument); /* NULL: this thread works */
+  void *report_context;
+  int (*report)(void *report_context, uint64_t n_done, uint64_t n_all); /* NULL: nobody is told */
 } twz_workers;
+
+#define TWZ_WORKERS \
+  { sizeof(twz_workers), 0, 1, 0, 0, 0 }
 
 /* Decode all units of the window; workers NULL: on this thread. */
 TWZ_API twz_status twz_window_decode(twz_window *window, const twz_workers *workers, twz_error *error);
@@ -340,6 +376,56 @@ typedef struct twz_block {
 /* Block (row, col) of the window's level, which has samples in the window. After twz_window_load. */
 TWZ_API twz_status twz_window_block(const twz_window *window, uint32_t row, uint32_t col,
                                     twz_block *block, twz_error *error);
+
+/* ---- Points -------------------------------------------------------------------------------- */
+
+typedef enum twz_interpolation {
+  TWZ_BILINEAR = 0, /* of the four samples around a point; void if one of them is that counts */
+  TWZ_NEAREST       /* the height of the nearest sample; half way, of the next row or column */
+} twz_interpolation;
+
+/* Points of a level, in any order, and where their heights go. The arrays are the caller's, until twz_points_free. */
+typedef struct twz_points_request {
+  size_t size;               /* sizeof(twz_points_request) */
+  int level;
+  twz_interpolation interpolation;
+  int is_own;                /* 1: fills are void (see twz_window_read_own) */
+  size_t n_points;
+  const double *rows, *cols; /* fractional: sample (r, c) of the level lies at r, c */
+  double *heights;           /* gets raw heights; NaN where there are none: in voids, and outside the level's samples
+                                (TWZ_NEAREST: half a sample further out) */
+  uint8_t *valid;            /* gets 1 where there is a height, else 0; may be NULL */
+} twz_points_request;
+
+#define TWZ_POINTS_REQUEST \
+  { sizeof(twz_points_request), -1, TWZ_BILINEAR, 0, 0, 0, 0, 0, 0 }
+
+/*
+ * Heights at points. They are sorted by unit, and read some units at a time, each of which is decoded once:
+ *
+ *     twz_points_new(file, &request, &points, &error);
+ *     twz_points_read(points, fetch, source, NULL, &error);
+ *     twz_points_free(points);
+ *
+ * twz_points_read is a loop of need, fetch and feed, then decode, until decode sets *n_left to 0. It is as fast for
+ * scattered points as reading the units that they lie in, once.
+ */
+typedef struct twz_points twz_points;
+
+TWZ_API twz_status twz_points_new(twz_file *file, const twz_points_request *request, twz_points **points,
+                                  twz_error *error);
+TWZ_API void twz_points_free(twz_points *points); /* NULL is allowed; before twz_file_free */
+/* As twz_window_need and ..._feed, of the next units. *n = 0: these can be decoded. */
+TWZ_API twz_status twz_points_need(twz_points *points, twz_range *ranges, size_t capacity, size_t *n,
+                                   twz_error *error);
+TWZ_API twz_status twz_points_feed(twz_points *points, uint64_t offset, const void *bytes, size_t n,
+                                   twz_error *error);
+/* Fill the heights of the points in the next units. *n_left points are left; 0: all heights are there. */
+TWZ_API twz_status twz_points_decode(twz_points *points, const twz_workers *workers, size_t *n_left,
+                                     twz_error *error);
+/* Fill the heights of all points. */
+TWZ_API twz_status twz_points_read(twz_points *points, twz_fetch fetch, void *source, const twz_workers *workers,
+                                   twz_error *error);
 
 /* ---- A pool of threads, for callers that have none ------------------------------------------ */
 

@@ -1,5 +1,5 @@
 /*
- * What Python needs beside terrainwave.h: the numbers it compares before it trusts the library, locks for
+ * What Python needs beside terrainwave.h: the digest it compares before it trusts the library, locks for
  * each file, and memory that goes from file to file.
  */
 #include <stdlib.h>
@@ -9,15 +9,10 @@
 #include "encode_pyramid.h"
 #include "internal.h"
 
-/* Raised whenever what Python calls (src/terrainwave/coding/native_library.py) changes its meaning or layout. */
-enum { PYTHON_ABI = 5 };
-
-TWZ_API int twz_python_abi(void);
-TWZ_API uint32_t twz_python_features(void);
+TWZ_API const char *twz_python_sources(void);
 TWZ_API twz_locks *twz_python_locks_new(void);
 TWZ_API void twz_python_locks_free(twz_locks *locks);
 TWZ_API const twz_allocator *twz_python_allocator(void);
-TWZ_API void twz_python_limit_cache(twz_file *file, uint64_t n_bytes);
 TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights,
                                          const uint32_t *freqs, const uint32_t *starts, encode_tables **made, twz_error *error);
 TWZ_API void twz_python_tables_free(encode_tables *tables);
@@ -42,10 +37,8 @@ TWZ_API int64_t twz_python_largest_deviation(const deviation_job *job, int is_sh
 TWZ_API void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n,
                                    const int32_t *weights, int least_cut, int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped);
 
-int twz_python_abi(void) { return PYTHON_ABI; }
-
-/* The feature bits of headers that this library reads. */
-uint32_t twz_python_features(void) { return KNOWN_FEATURES; }
+/* The digest of the sources that this library is built of (src/terrainwave/native_sources.py). */
+const char *twz_python_sources(void) { return TWZ_SOURCES; }
 
 #if defined(_WIN32)
 #define WIN32_LEAN_AND_MEAN
@@ -88,13 +81,6 @@ void twz_python_locks_free(twz_locks *locks) {
   end(locks->context);
   free(locks->context);
   free(locks);
-}
-
-/* Keep fewer or more decoded units from now on than twz_options.cache_bytes. */
-void twz_python_limit_cache(twz_file *file, uint64_t n_bytes) {
-  file_lock(file);
-  file->cache_bytes = n_bytes;
-  file_unlock(file);
 }
 
 /*

@@ -60,6 +60,21 @@ void twz_release(const twz_allocator *a, void *memory) {
   }
 }
 
+twz_status take_sized(void *to, size_t size, const void *given, const char *name, twz_error *error) {
+  size_t given_size;
+  memcpy(&given_size, given, sizeof given_size);
+  if (given_size <= sizeof given_size) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT, "%s.size is %u, expected sizeof(%s): begin with its macro", name, (unsigned)given_size, name);
+  }
+  memcpy(to, given, min_size(given_size, size));
+  return TWZ_OK;
+}
+
+twz_status report(const twz_workers *w, uint64_t n_done, uint64_t n_all, twz_error *error) {
+  if (!w->report || w->report(w->report_context, n_done, n_all) == 0) return TWZ_OK;
+  return twz_fail(error, TWZ_CANCELLED, "ended by the caller, %llu of %llu done", (unsigned long long)n_done, (unsigned long long)n_all);
+}
+
 twz_status twz_no_memory(twz_error *error, size_t n_bytes) {
   return twz_fail(error, TWZ_NO_MEMORY, "no memory for %llu bytes", (unsigned long long)n_bytes);
 }

@@ -7,16 +7,29 @@ enum { MOST_READ = 1 << 22 };
 
 typedef struct check {
   twz_file *file;
-  const twz_workers *workers;
+  twz_workers workers; /* who works; whom to tell is apart */
+  twz_workers told;
+  uint64_t n_done;     /* of twice the file's bytes, which are read and then decoded */
   twz_fetch fetch;
   void *source;
+  const uint8_t *bytes; /* that were read last */
   uint8_t *buffer;
   size_t n_buffer;
 } check;
 
-/* Read bytes into the buffer. */
+static twz_status report_check(const check *c, twz_error *error) {
+  return report(&c->told, min_u64(c->n_done, 2 * c->file->file_size), 2 * c->file->file_size, error);
+}
+
+/* Read bytes. */
 static twz_status read_bytes(check *c, uint64_t offset, uint64_t n, twz_error *error) {
   const twz_allocator *a = &c->file->allocator;
+  TRY(report_check(c, error));
+  c->n_done += n;
+  if (c->file->memory) {
+    c->bytes = c->file->memory + offset;
+    return TWZ_OK;
+  }
   if (n > c->n_buffer) {
     if (n > c->file->max_bytes || n > SIZE_MAX) {
       return twz_fail(error, TWZ_LIMIT, "a section of %llu bytes, more than is allowed", (unsigned long long)n);
@@ -29,6 +42,7 @@ static twz_status read_bytes(check *c, uint64_t offset, uint64_t n, twz_error *e
   }
   twz_range range = {.offset = offset, .length = n};
   void *buffer = c->buffer;
+  c->bytes = c->buffer;
   if (n == 0 || c->fetch(c->source, 1, &range, &buffer) == 0) return TWZ_OK;
   return twz_fail(error, TWZ_FETCH_FAILED, "bytes %llu to %llu could not be read", (unsigned long long)offset,
                   (unsigned long long)(offset + n - 1));
@@ -37,7 +51,7 @@ static twz_status read_bytes(check *c, uint64_t offset, uint64_t n, twz_error *e
 static twz_status load_page(check *c, place head, const page_place *page, segment **s, twz_error *error) {
   twz_file *f = c->file;
   TRY(read_bytes(c, page->offset, page->length, error));
-  return read_segment(s, &f->grid, head, page, c->buffer, f->file_size, &f->crc, &f->allocator, error);
+  return read_segment(s, &f->grid, head, page, c->bytes, f->file_size, &f->crc, &f->allocator, error);
 }
 
 /* ---- Bytes: one pass over the file ---- */
@@ -87,7 +101,7 @@ static twz_status check_sections(check *c, const segment *s, twz_error *error) {
     TRY(read_bytes(c, start, length, error));
     for (size_t k = i; k < stop; k++) {
       const section_place *p = order[k];
-      REQUIRE(crc_matches(&c->file->crc, c->buffer + (p->offset - start), p->length, p->crc), error,
+      REQUIRE(crc_matches(&c->file->crc, c->bytes + (p->offset - start), p->length, p->crc), error,
               "the checksum of a payload or mesh is wrong (bytes %llu to %llu)", (unsigned long long)p->offset,
               (unsigned long long)(p->offset + p->length - 1));
     }
@@ -116,12 +130,12 @@ static twz_status check_level(check *c, const pages *level, pages *below, uint64
 static twz_status check_digests(check *c, uint64_t at, twz_error *error) {
   twz_file *f = c->file;
   TRY(read_bytes(c, f->file_size - DIGESTS_TAIL, DIGESTS_TAIL, error));
-  uint32_t crc = load_u32(c->buffer), n = load_u32(c->buffer + 4);
+  uint32_t crc = load_u32(c->bytes), n = load_u32(c->bytes + 4);
   uint64_t length = (uint64_t)DIGEST_SIZE * n;
   REQUIRE(n > 0 && at <= f->file_size && length == f->file_size - DIGESTS_TAIL - at, error,
           "%u digests do not fill the file behind the segments", n);
   TRY(read_bytes(c, at, length, error));
-  REQUIRE(crc_matches(&f->crc, c->buffer, (size_t)length, crc), error, "the checksum of the digests is wrong");
+  REQUIRE(crc_matches(&f->crc, c->bytes, (size_t)length, crc), error, "the checksum of the digests is wrong");
   return TWZ_OK;
 }
 
@@ -190,9 +204,10 @@ static void lines_of(const grid *g, uint32_t n, int key_level, int level, uint32
 
 static twz_status check_units_of(check *c, int level, const twz_box *box, twz_error *error) {
   twz_window *w;
+  TRY(report_check(c, error));
   TRY(twz_window_new(c->file, level, box, &w, error));
   twz_status status = twz_window_load(w, c->fetch, c->source, error);
-  if (status == TWZ_OK) status = twz_window_decode(w, c->workers, error);
+  if (status == TWZ_OK) status = twz_window_decode(w, &c->workers, error);
   if (status == TWZ_OK) status = check_window(w, error);
   twz_window_free(w);
   return status;
@@ -241,6 +256,7 @@ static twz_status check_segment(check *c, place head, const segment *s, twz_erro
       TRY(check_units_of(c, level, &box, error));
     }
   }
+  for (int i = 0; i < s->n_keys; i++) c->n_done += s->payloads[i].length;
   forget_others(c->file, head);
   return TWZ_OK;
 }
@@ -257,9 +273,13 @@ static twz_status check_below(check *c, place head, twz_error *error) {
 
 twz_status twz_file_check(twz_file *f, twz_fetch fetch, void *source, const twz_workers *workers, twz_error *error) {
   if (!f->is_open) return twz_fail(error, TWZ_NOT_READY, "the file is not open yet");
-  check c = {f, workers, fetch, source, NULL, 0};
+  check c = {.file = f, .workers = TWZ_WORKERS, .told = TWZ_WORKERS, .fetch = fetch, .source = source};
+  if (workers) TRY(take_sized(&c.workers, sizeof c.workers, workers, "twz_workers", error));
+  c.told = c.workers;
+  c.workers.report = NULL;
   const place top = {-1, 0, 0};
   twz_status status = check_bytes(&c, (segment *)table_find(&f->segments, top), error);
+  if (status == TWZ_OK) c.n_done = f->file_size;
   if (status == TWZ_OK) status = check_below(&c, top, error);
   twz_release(&f->allocator, c.buffer);
   return status;

@@ -14,8 +14,8 @@ void file_unlock(twz_file *f) {
 
 twz_status twz_file_new(const twz_options *options, uint64_t file_size, twz_file **file, twz_error *error) {
   twz_options given = TWZ_OPTIONS;
-  if (options) memcpy(&given, options, min_size(options->size, sizeof given));
   *file = NULL;
+  if (options) TRY(take_sized(&given, sizeof given, options, "twz_options", error));
   const row_kernels *kernels = find_kernels(given.kernels);
   if (!kernels) return twz_fail(error, TWZ_BAD_ARGUMENT, "this processor or this build lacks the kernels asked for");
   twz_file *f = twz_allocate_zeros(&given.allocator, sizeof *f);
@@ -202,6 +202,17 @@ twz_status twz_file_load(twz_file *f, twz_fetch fetch, void *source, twz_error *
   return load_all(&f->allocator, file_need, file_feed, f, fetch, source, error);
 }
 
+twz_status twz_file_borrow(twz_file *f, const void *bytes, twz_error *error) {
+  f->memory = bytes;
+  for (;;) {
+    twz_range range;
+    size_t n;
+    TRY(twz_file_need(f, &range, 1, &n, error));
+    if (n == 0) return TWZ_OK;
+    TRY(twz_file_feed(f, range.offset, f->memory + range.offset, (size_t)range.length, error));
+  }
+}
+
 /* ---- What is known ---- */
 
 const twz_info *twz_file_info(const twz_file *f) { return f->is_open ? &f->info : NULL; }
@@ -274,6 +285,14 @@ static void free_units(twz_file *f, unit *u) {
     unit_free(f, u);
     u = next;
   }
+}
+
+void twz_file_limit_cache(twz_file *f, uint64_t n_bytes) {
+  file_lock(f);
+  f->cache_bytes = n_bytes;
+  unit *out = trim(f);
+  file_unlock(f);
+  free_units(f, out);
 }
 
 unit *cache_take(twz_file *f, place key, part *wanted) {

@@ -69,6 +69,9 @@ twz_status twz_fail(twz_error *error, twz_status status, const char *format, ...
   do { \
     if (!(condition)) return twz_fail(error, TWZ_UNSUPPORTED, __VA_ARGS__); \
   } while (0)
+/* Copy a structure that begins with its size: what the caller knows of it, over the defaults in `to`. */
+twz_status take_sized(void *to, size_t size, const void *given, const char *name, twz_error *error);
+
 #define TRY(call) \
   do { \
     twz_status status_ = (call); \
@@ -394,6 +397,7 @@ struct twz_file {
   twz_allocator allocator;
   twz_locks locks;
   uint64_t file_size, cache_bytes, max_bytes;
+  const uint8_t *memory; /* all bytes of the file, if it was borrowed */
   const struct row_kernels *kernels;
   crc_tables crc;
   int32_t rates[256]; /* of models, by count (§6.1) */
@@ -490,6 +494,18 @@ typedef twz_status (*need_function)(void *self, twz_range *ranges, size_t capaci
 typedef twz_status (*feed_function)(void *self, uint64_t offset, const void *bytes, size_t n, twz_error *error);
 twz_status load_all(const twz_allocator *a, need_function need, feed_function feed, void *self, twz_fetch fetch,
                     void *source, twz_error *error);
+
+/* Tell who is to be told how far a call is (the workers' defaults are set); ends it if that is the answer. */
+twz_status report(const twz_workers *w, uint64_t n_done, uint64_t n_all, twz_error *error);
+
+/*
+ * Windows of some units of a level: each is wanted by itself, as far as samples row, col ... end_row - 1, end_col - 1
+ * go. Several may count the memory they take together, in *n_bytes. They can be loaded and decoded, not read.
+ */
+twz_status sparse_window_new(twz_file *f, int level, const twz_box *box, uint64_t *n_bytes, twz_window **window, twz_error *error);
+void window_want(twz_window *w, place key, int64_t row, int64_t col, int64_t end_row, int64_t end_col);
+const unit *window_unit(const twz_window *w, place key); /* decoded */
+place unit_of_sample(const grid *g, int level, uint32_t row, uint32_t col);
 
 /* Do units of a decoded window's level hold the same of the samples that they share (§2.4), and finite heights (§5.3)? */
 twz_status check_window(const twz_window *w, twz_error *error);

@@ -154,6 +154,7 @@ twz_status twz_pool_new(size_t n_threads, twz_pool **pool, twz_error *error) {
   mutex_init(&p->lock);
   condition_init(&p->work);
   condition_init(&p->done);
+  p->workers.size = sizeof p->workers;
   p->workers.context = p;
   p->workers.run = run_pool;
   p->helpers = calloc(n_threads, sizeof *p->helpers);

@@ -10,7 +10,8 @@ typedef enum state { UNUSED, WANTED, PLACED, FED, DECODED } state;
 typedef struct slot {
   state state;
   section_place place;
-  uint8_t *payload;
+  const uint8_t *payload;
+  int is_borrowed; /* the payload is in the file's memory */
   unit *unit;
   part wanted; /* of the region; nothing: it is not wanted yet */
 } slot;
@@ -27,8 +28,9 @@ struct twz_window {
   int level;
   twz_box box;
   int n_stages, is_planned, is_placed, is_decoded, is_spent;
+  int is_sparse; /* units are wanted one by one */
   stage stages[MOST_STAGES];
-  uint64_t n_bytes; /* decoded units and payloads */
+  uint64_t own_bytes, *n_bytes; /* decoded units and payloads, of this window or of several */
   /* Slots that wait for payloads, by offset. */
   slot **waiting;
   size_t n_waiting, first_waiting;
@@ -50,6 +52,12 @@ static uint32_t unit_of_line(const grid *g, uint32_t n, int key_level, int level
   if (key_level < 0) return 0;
   int shift = g->block_log2 + level - key_level;
   return min_u32(line >> shift, n_blocks(g, n, key_level) - 1);
+}
+
+place unit_of_sample(const grid *g, int level, uint32_t row, uint32_t col) {
+  int key_level = key_level_of(g, level);
+  place key = {key_level, unit_of_line(g, g->n_rows, key_level, level, row), unit_of_line(g, g->n_cols, key_level, level, col)};
+  return key;
 }
 
 /* ---- Beginning ---- */
@@ -79,7 +87,7 @@ static void plan_stages(twz_window *w) {
   }
 }
 
-twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_window **window, twz_error *error) {
+static twz_status new_window(twz_file *file, int level, const twz_box *box, uint64_t *n_bytes, twz_window **window, twz_error *error) {
   *window = NULL;
   TRY(level_number(file, level, &level, error));
   const grid *g = &file->grid;
@@ -97,13 +105,15 @@ twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_win
   w->file = file;
   w->level = level;
   w->box = *box;
+  w->is_sparse = n_bytes != NULL;
+  w->n_bytes = n_bytes ? n_bytes : &w->own_bytes;
   plan_stages(w);
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     uint64_t n = (uint64_t)s->n_rows * s->n_cols;
     twz_status status = TWZ_OK;
-    w->n_bytes += n * sizeof(slot);
-    if (w->n_bytes > file->max_bytes || n > SIZE_MAX / sizeof(slot)) {
+    *w->n_bytes += n * sizeof(slot);
+    if (*w->n_bytes > file->max_bytes || n > SIZE_MAX / sizeof(slot)) {
       status = twz_fail(error, TWZ_LIMIT, "a window of %llu units: read it in parts", (unsigned long long)n);
     } else {
       s->slots = twz_allocate_zeros(&file->allocator, n_slots(s) * sizeof(slot));
@@ -118,13 +128,26 @@ twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_win
   return TWZ_OK;
 }
 
+twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_window **window, twz_error *error) {
+  return new_window(file, level, box, NULL, window, error);
+}
+
+twz_status sparse_window_new(twz_file *f, int level, const twz_box *box, uint64_t *n_bytes, twz_window **window, twz_error *error) {
+  return new_window(f, level, box, n_bytes, window, error);
+}
+
+static void release_payload(twz_file *f, slot *one) {
+  if (!one->is_borrowed) twz_release(&f->allocator, (void *)(uintptr_t)one->payload);
+  one->payload = NULL;
+}
+
 /* Leave all units and payloads. */
 static void empty_slots(twz_window *w) {
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; s->slots && k < n_slots(s); k++) {
       if (s->slots[k].unit) cache_leave(w->file, s->slots[k].unit);
-      twz_release(&w->file->allocator, s->slots[k].payload);
+      release_payload(w->file, &s->slots[k]);
       memset(&s->slots[k], 0, sizeof s->slots[k]);
     }
   }
@@ -152,6 +175,14 @@ static part part_of_unit(const grid *g, place key, int level, int64_t row, int64
   p.end_col = (int32_t)clamp_i64(end_col - cols.first, 0, cols.n);
   return p;
 }
+
+void window_want(twz_window *w, place key, int64_t row, int64_t col, int64_t end_row, int64_t end_col) {
+  slot *one = slot_at(w->stages, key);
+  one->state = WANTED;
+  one->wanted = part_of_unit(&w->file->grid, key, w->level, row, col, end_row, end_col);
+}
+
+const unit *window_unit(const twz_window *w, place key) { return slot_at(w->stages, key)->unit; }
 
 static part all_of_unit(const grid *g, place key, int level) { return part_of_unit(g, key, level, 0, 0, INT64_MAX / 2, INT64_MAX / 2); }
 
@@ -186,18 +217,18 @@ static void want_parent(const twz_file *f, slot *above, place parent, place key,
 
 /* Count bytes of the window; an error counts none, so that the next try ends alike. */
 static twz_status count_bytes(twz_window *w, uint64_t n, twz_error *error) {
-  if (n > w->file->max_bytes - min_u64(w->n_bytes, w->file->max_bytes)) {
+  if (n > w->file->max_bytes - min_u64(*w->n_bytes, w->file->max_bytes)) {
     return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
                     (unsigned long long)w->file->max_bytes);
   }
-  w->n_bytes += n;
+  *w->n_bytes += n;
   return TWZ_OK;
 }
 
 /* Find which units must be decoded: those that the cache lacks, and what they follow from. */
 static twz_status plan_units(twz_window *w, twz_error *error) {
   twz_file *f = w->file;
-  uint64_t n_before = w->n_bytes;
+  uint64_t n_before = *w->n_bytes;
   for (int i = 0; i < w->n_stages; i++) {
     stage *s = &w->stages[i];
     for (size_t k = 0; k < n_slots(s); k++) {
@@ -205,7 +236,7 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
       place key = key_at(s, k);
       int level = i ? w->stages[i - 1].level : w->level;
       const twz_box *b = &w->box;
-      if (i == 0) {
+      if (i == 0 && !w->is_sparse) {
         one->state = WANTED;
         one->wanted = part_of_unit(&f->grid, key, level, b->row, b->col, (int64_t)b->row + b->n_rows, (int64_t)b->col + b->n_cols);
       }
@@ -218,7 +249,7 @@ static twz_status plan_units(twz_window *w, twz_error *error) {
       }
       if (count_bytes(w, unit_bytes(f, key), error) != TWZ_OK) {
         empty_slots(w);
-        w->n_bytes = n_before;
+        *w->n_bytes = n_before;
         return TWZ_LIMIT;
       }
       if (i + 1 < w->n_stages) {
@@ -375,8 +406,31 @@ static int compare_ranges(const void *a, const void *b) {
   return x->offset < y->offset ? -1 : x->offset > y->offset;
 }
 
+static twz_status feed_pages(twz_window *w, uint64_t offset, const uint8_t *bytes, size_t n, twz_error *error);
+static twz_status feed_payload(twz_window *w, slot *one, const uint8_t *bytes, twz_error *error);
+
+/* Give a window what it needs of a file in memory. */
+static twz_status feed_from_memory(twz_window *w, twz_error *error) {
+  const uint8_t *memory = w->file->memory;
+  twz_range ranges[16];
+  size_t n;
+  while (!w->is_placed) {
+    TRY(place_units(w, ranges, sizeof ranges / sizeof *ranges, &n, error));
+    for (size_t i = 0; i < n; i++) TRY(feed_pages(w, ranges[i].offset, memory + ranges[i].offset, (size_t)ranges[i].length, error));
+  }
+  for (; w->first_waiting < w->n_waiting; w->first_waiting++) {
+    slot *one = w->waiting[w->first_waiting];
+    TRY(feed_payload(w, one, memory + one->place.offset, error));
+  }
+  return TWZ_OK;
+}
+
 twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
   *n = 0;
+  if (w->file->memory) {
+    if (!w->is_planned) TRY(plan_units(w, error));
+    return feed_from_memory(w, error);
+  }
   if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
   if (!w->is_planned) TRY(plan_units(w, error));
   if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
@@ -433,11 +487,20 @@ static twz_status feed_payload(twz_window *w, slot *one, const uint8_t *bytes, t
           "the checksum of a payload is wrong (bytes %llu to %llu)", (unsigned long long)one->place.offset,
           (unsigned long long)(one->place.offset + one->place.length - 1));
   size_t n = one->place.length;
-  one->payload = twz_allocate(&f->allocator, n + PAYLOAD_SLACK);
-  if (!one->payload) return twz_no_memory(error, n + PAYLOAD_SLACK);
-  memcpy(one->payload, bytes, n);
-  memset(one->payload + n, 0, PAYLOAD_SLACK);
   one->state = FED;
+  if (f->memory && f->file_size - one->place.offset - n >= PAYLOAD_SLACK) {
+    one->payload = bytes;
+    one->is_borrowed = 1;
+    return TWZ_OK;
+  }
+  uint8_t *payload = twz_allocate(&f->allocator, n + PAYLOAD_SLACK);
+  if (!payload) {
+    one->state = PLACED;
+    return twz_no_memory(error, n + PAYLOAD_SLACK);
+  }
+  memcpy(payload, bytes, n);
+  memset(payload + n, 0, PAYLOAD_SLACK);
+  one->payload = payload;
   return TWZ_OK;
 }
 
@@ -545,7 +608,9 @@ typedef struct decoding {
   twz_window *window;
   const output *output; /* where units of the window's level go at once; NULL: nowhere */
   stage *stage;
-  size_t *todo, n_todo; /* slots of the stage */
+  size_t *todo, first;  /* slots of the stage; the first one that this round decodes */
+  twz_workers workers;
+  uint64_t n_done, n_all; /* units */
   scratch *scratches;   /* one a worker */
   twz_error *errors;    /* one a worker; the first is kept */
 } decoding;
@@ -555,8 +620,9 @@ static void decode_one(void *argument, size_t index, size_t worker) {
   twz_file *f = d->window->file;
   twz_error *error = &d->errors[worker];
   if (error->status != TWZ_OK) return;
-  slot *one = &d->stage->slots[d->todo[index]];
-  place key = key_at(d->stage, d->todo[index]);
+  size_t number = d->todo[d->first + index];
+  slot *one = &d->stage->slots[number];
+  place key = key_at(d->stage, number);
   order o = {NULL, NULL, one->payload, one->place.length, NULL, 0};
   twz_box own;
   const output *out = d->stage == d->window->stages && has_core(d->window, key, &own) ? d->output : NULL;
@@ -584,37 +650,59 @@ static void decode_one(void *argument, size_t index, size_t worker) {
   }
 }
 
-static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_error *error) {
-  stage *s = d->stage;
-  size_t n = 0;
-  for (size_t k = 0; k < n_slots(s); k++) {
-    state state = s->slots[k].state;
-    if (state == WANTED || state == PLACED) {
-      return twz_fail(error, TWZ_NOT_READY, "bytes of the window are missing: need, fetch and feed first");
-    }
-    if (state == FED) d->todo[n++] = k;
-  }
-  if (n == 0) return TWZ_OK;
-  size_t n_workers = workers ? workers->n_workers : 1;
-  d->n_todo = n;
-  if (workers && n > 1) {
+/* Decode n units of the stage, from number `first` of those to do. */
+static twz_status decode_some(decoding *d, size_t first, size_t n, twz_error *error) {
+  const twz_workers *workers = &d->workers;
+  twz_file *f = d->window->file;
+  d->first = first;
+  if (workers->run && n > 1) {
     workers->run(workers->context, n, decode_one, d);
   } else {
     for (size_t i = 0; i < n; i++) decode_one(d, i, 0);
   }
   twz_status status = TWZ_OK;
-  for (size_t i = 0; i < n_workers && status == TWZ_OK; i++) {
+  for (size_t i = 0; i < workers->n_workers && status == TWZ_OK; i++) {
     if (d->errors[i].status != TWZ_OK) status = twz_fail(error, d->errors[i].status, "%s", d->errors[i].text);
   }
-  for (size_t i = 0; i < n; i++) {
-    slot *one = &s->slots[d->todo[i]];
-    if (one->unit) one->unit = cache_give(d->window->file, one->unit);
+  for (size_t i = first; i < first + n; i++) {
+    slot *one = &d->stage->slots[d->todo[i]];
+    if (one->unit) one->unit = cache_give(f, one->unit);
     if (!one->unit && !d->output) continue;
-    twz_release(&d->window->file->allocator, one->payload);
-    one->payload = NULL;
+    release_payload(f, one);
     one->state = DECODED;
   }
+  d->n_done += n;
   return status;
+}
+
+static twz_status decode_stage(decoding *d, twz_error *error) {
+  /* Units that are decoded between two reports, by each worker: they wait for the last of them. */
+  enum { MOST_UNTOLD = 16 };
+  stage *s = d->stage;
+  twz_file *f = d->window->file;
+  size_t n = 0;
+  for (size_t k = 0; k < n_slots(s); k++) {
+    slot *one = &s->slots[k];
+    if (one->state == WANTED || one->state == PLACED) {
+      return twz_fail(error, TWZ_NOT_READY, "bytes of the window are missing: need, fetch and feed first");
+    }
+    if (one->state != FED) continue;
+    part wanted = one->wanted;
+    one->unit = cache_take(f, key_at(s, k), &wanted); /* another window may have decoded it meanwhile */
+    if (one->unit) {
+      release_payload(f, one);
+      one->state = DECODED;
+      d->n_done++;
+    } else {
+      d->todo[n++] = k;
+    }
+  }
+  size_t most = d->workers.report ? MOST_UNTOLD * d->workers.n_workers : n;
+  for (size_t first = 0; first < n; first += most) {
+    TRY(report(&d->workers, d->n_done, d->n_all, error));
+    TRY(decode_some(d, first, min_size(most, n - first), error));
+  }
+  return TWZ_OK;
 }
 
 /* Now that payloads are there: want of each unit what those below it need, with the bands that they have. */
@@ -652,11 +740,18 @@ static void exchange_idle(twz_file *f, scratch *s) {
 static twz_status decode_window(twz_window *w, const twz_workers *workers, const output *out, twz_error *error) {
   if (w->is_spent) return twz_fail(error, TWZ_BAD_ARGUMENT, "the window was decoded into its caller's memory before: make another");
   if (w->is_decoded) return TWZ_OK;
+  decoding d = {.window = w, .output = out, .workers = TWZ_WORKERS};
+  if (workers) TRY(take_sized(&d.workers, sizeof d.workers, workers, "twz_workers", error));
+  if (!d.workers.run) d.workers.n_workers = 1;
+  size_t n_none;
+  if (w->file->memory) TRY(twz_window_need(w, NULL, 0, &n_none, error));
   if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
   const twz_allocator *a = &w->file->allocator;
-  size_t n_workers = workers ? workers->n_workers : 1, most = 1;
-  for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
-  decoding d = {w, out, NULL, NULL, 0, NULL, NULL};
+  size_t n_workers = d.workers.n_workers, most = 1;
+  for (int i = 0; i < w->n_stages; i++) most = max_size(n_slots(&w->stages[i]), most);
+  for (int i = 0; i < w->n_stages; i++) {
+    for (size_t k = 0; k < n_slots(&w->stages[i]); k++) d.n_all += w->stages[i].slots[k].state == FED;
+  }
   d.todo = twz_allocate(a, most * sizeof *d.todo);
   d.scratches = twz_allocate_zeros(a, n_workers * sizeof *d.scratches);
   d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
@@ -667,7 +762,7 @@ static twz_status decode_window(twz_window *w, const twz_workers *workers, const
   want_less(w);
   for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
     d.stage = &w->stages[i];
-    status = decode_stage(&d, workers, error);
+    status = decode_stage(&d, error);
   }
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
   for (size_t i = 0; d.scratches && i < n_workers; i++) scratch_free(&d.scratches[i]);

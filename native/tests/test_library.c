@@ -108,6 +108,7 @@ static uint32_t below(uint32_t n) { /* a number below n */
 
 static size_t n_overlaps;
 static size_t n_parts; /* units of which only a part was decoded */
+static size_t n_lent;  /* payloads that were not copied */
 
 static void count_parts(const twz_file *file) {
   for (size_t i = 0; i < file->units.n_slots; i++) {
@@ -399,6 +400,335 @@ static void windows_may_be_decoded_into_memory(memory *m, twz_pool *pool) {
   twz_file_free(other);
 }
 
+/* ---- Points ---- */
+
+/* The numbers of a raster, by its type. */
+static double raw_of(const twz_info *info, const uint8_t *heights, size_t i) {
+  switch (info->dtype) {
+    case TWZ_UINT8: return heights[i];
+    case TWZ_UINT16: return ((const uint16_t *)(const void *)heights)[i];
+    case TWZ_INT16: return ((const int16_t *)(const void *)heights)[i];
+    case TWZ_INT32: return ((const int32_t *)(const void *)heights)[i];
+    case TWZ_FLOAT32: return (double)((const float *)(const void *)heights)[i];
+    case TWZ_FLOAT64: return ((const double *)(const void *)heights)[i];
+  }
+  return NAN;
+}
+
+/* The height of a point by the samples of the whole level, as terrainwave.h says it; NAN: there is none. */
+static double height_by_samples(const twz_info *info, const twz_level *size, const raster *r, const uint8_t *counts, double row, double col,
+                                twz_interpolation interpolation) {
+  if (interpolation == TWZ_NEAREST) {
+    double top = row + 0.5, left = col + 0.5;
+    if (!(top >= 0 && top < size->n_rows && left >= 0 && left < size->n_cols)) return NAN;
+    size_t at = (size_t)top * size->n_cols + (size_t)left;
+    return counts[at] ? raw_of(info, r->heights, at) : (double)NAN;
+  }
+  if (!(row >= 0 && row <= size->n_rows - 1 && col >= 0 && col <= size->n_cols - 1)) return NAN;
+  size_t top = (size_t)row, left = (size_t)col;
+  double total = 0;
+  for (size_t i = 0; i < 4; i++) {
+    size_t line = min_size(top + i / 2, size->n_rows - 1), at = line * size->n_cols + min_size(left + i % 2, size->n_cols - 1);
+    double down = row - (double)top, across = col - (double)left, weight = (i / 2 ? down : 1 - down) * (i % 2 ? across : 1 - across);
+    if (!counts[at] && weight > 0) return NAN;
+    total += (counts[at] ? raw_of(info, r->heights, at) : 0) * weight;
+  }
+  return total;
+}
+
+/* A place along an axis of n samples: on one, between two, at either end, outside, not a number. */
+static double random_place(uint32_t n) {
+  static const double OUTSIDE[] = {-0.5, -0.25, -1, -1e300, (double)INFINITY, -(double)INFINITY, (double)NAN};
+  uint32_t way = below(20), sample = below(n);
+  if (way < 7) return OUTSIDE[way];
+  if (way < 9) return sample;
+  if (way == 9) return n - 1;
+  if (way == 10) return n - 0.5;
+  if (way == 11) return n - 1 + 0.25;
+  return sample + below(1000) / 1000.0;
+}
+
+enum { N_POINTS = 400 };
+typedef struct places {
+  double rows[N_POINTS], cols[N_POINTS], heights[N_POINTS];
+  uint8_t valid[N_POINTS];
+} places;
+
+static size_t n_between; /* heights of points that were compared */
+
+static void heights_at_points_are_those_of_samples(memory *m, twz_pool *pool) {
+  static places all;
+  twz_file *first = open_memory(m, NULL);
+  const twz_info *info = twz_file_info(first);
+  for (int way = 0; way < 16; way++) {
+    int level = way % 4 ? -1 - (int)below((uint32_t)info->n_levels) : -1;
+    twz_level size;
+    raster r;
+    twz_window *window;
+    CHECK(twz_file_level(first, level, &size, NULL) == TWZ_OK && read_raster(first, m, level, NULL, NULL, &r, NULL) == TWZ_OK);
+    uint8_t *own = malloc(r.n);
+    CHECK(twz_window_new(first, level, NULL, &window, NULL) == TWZ_OK && twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    CHECK(twz_window_decode(window, NULL, NULL) == TWZ_OK && twz_window_read_own(window, own, 0, NULL) == TWZ_OK);
+    twz_window_free(window);
+    twz_points_request asked = TWZ_POINTS_REQUEST;
+    asked.level = level;
+    asked.interpolation = way & 1 ? TWZ_NEAREST : TWZ_BILINEAR;
+    asked.is_own = way >> 1 & 1;
+    asked.n_points = 1 + below(N_POINTS);
+    asked.rows = all.rows;
+    asked.cols = all.cols;
+    asked.heights = all.heights;
+    asked.valid = way % 5 ? all.valid : NULL;
+    for (size_t i = 0; i < asked.n_points; i++) {
+      all.rows[i] = random_place(size.n_rows);
+      all.cols[i] = random_place(size.n_cols);
+    }
+    twz_options options = TWZ_OPTIONS;
+    if (way & 4) options.cache_bytes = 0;
+    twz_file *file = open_memory(m, &options);
+    twz_points *points;
+    CHECK(twz_points_new(file, &asked, &points, NULL) == TWZ_OK);
+    twz_workers alone = TWZ_WORKERS;
+    const twz_workers *workers = way % 3 == 0 ? NULL : way % 3 == 1 ? &alone : twz_pool_workers(pool);
+    if (way & 8) { /* by hand, one range at a time, with all bytes */
+      for (size_t n_left = 1; n_left > 0;) {
+        twz_range range;
+        size_t n;
+        while (twz_points_need(points, &range, 1, &n, NULL) == TWZ_OK && n > 0) CHECK(twz_points_feed(points, 0, m->bytes, m->n, NULL) == TWZ_OK);
+        if (twz_points_decode(points, workers, &n_left, NULL) != TWZ_OK) break;
+      }
+    } else {
+      CHECK(twz_points_read(points, fetch, m, workers, NULL) == TWZ_OK);
+      CHECK(twz_points_read(points, NULL, NULL, workers, NULL) == TWZ_OK); /* nothing is left */
+    }
+    int is_right = 1;
+    for (size_t i = 0; i < asked.n_points; i++) {
+      double expected = height_by_samples(info, &size, &r, asked.is_own ? own : r.valid, all.rows[i], all.cols[i], asked.interpolation);
+      is_right &= isnan(expected) ? isnan(all.heights[i]) : expected == all.heights[i];
+      is_right &= !asked.valid || all.valid[i] == !isnan(expected);
+      n_between += (size_t)!isnan(expected);
+    }
+    CHECK(is_right);
+    twz_points_free(points);
+    twz_file_free(file);
+    free(own);
+    free_raster(&r);
+  }
+  twz_file_free(first);
+}
+
+/* However many points lie in a unit, and however little is kept, it is decoded once, and its payload read once. */
+static void units_of_points_are_read_once(memory *m) {
+  twz_file *whole = open_memory(m, NULL), *file;
+  twz_options options = TWZ_OPTIONS;
+  twz_level size;
+  raster r;
+  CHECK(twz_file_level(whole, -1, &size, NULL) == TWZ_OK && read_raster(whole, m, -1, NULL, NULL, &r, NULL) == TWZ_OK);
+  free_raster(&r);
+  twz_file_free(whole);
+  const size_t n = 20000;
+  double *numbers = malloc(3 * n * sizeof *numbers);
+  for (size_t i = 0; i < n; i++) {
+    numbers[i] = below(size.n_rows);
+    numbers[n + i] = below(size.n_cols);
+  }
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  asked.n_points = n;
+  asked.rows = numbers;
+  asked.cols = numbers + n;
+  asked.heights = numbers + 2 * n;
+  options.cache_bytes = 0;
+  file = open_memory(m, &options);
+  twz_points *points;
+  size_t before = m->n_fetched;
+  CHECK(twz_points_new(file, &asked, &points, NULL) == TWZ_OK && twz_points_read(points, fetch, m, NULL, NULL) == TWZ_OK);
+  CHECK(m->n_fetched - before <= m->n); /* no byte twice */
+  twz_points_free(points);
+  twz_file_free(file);
+  free(numbers);
+}
+
+/* Points in more units than fit the memory that is allowed are read some at a time; no unit at all is refused. */
+static void points_keep_to_their_memory(memory *m) {
+  twz_options options = TWZ_OPTIONS;
+  twz_file *file = open_memory(m, NULL), *small;
+  static places all, same;
+  twz_level size;
+  CHECK(twz_file_level(file, -1, &size, NULL) == TWZ_OK);
+  for (int i = 0; i < N_POINTS; i++) {
+    all.rows[i] = below(size.n_rows);
+    all.cols[i] = below(size.n_cols);
+  }
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  asked.n_points = N_POINTS;
+  asked.rows = all.rows;
+  asked.cols = all.cols;
+  asked.heights = all.heights;
+  twz_points *points;
+  CHECK(twz_points_new(file, &asked, &points, NULL) == TWZ_OK && twz_points_read(points, fetch, m, NULL, NULL) == TWZ_OK);
+  twz_points_free(points);
+  asked.heights = same.heights;
+  twz_status status = TWZ_LIMIT;
+  for (options.max_bytes = 500; status == TWZ_LIMIT; options.max_bytes += 1 + options.max_bytes / 4) {
+    small = open_memory(m, &options);
+    twz_error error;
+    status = twz_points_new(small, &asked, &points, &error);
+    if (status == TWZ_OK) status = twz_points_read(points, fetch, m, NULL, &error);
+    CHECK(status == TWZ_OK || (status == TWZ_LIMIT && error.text[0]));
+    twz_points_free(points);
+    twz_file_free(small);
+  }
+  CHECK(status == TWZ_OK && memcmp(all.heights, same.heights, sizeof all.heights) == 0);
+  twz_file_free(file);
+}
+
+/* ---- Files in memory, limits, reports ---- */
+
+/* A file that was borrowed gives the same, and asks for no bytes. Its payloads are where they were. */
+static void borrowed_files_need_no_bytes(memory *m) {
+  twz_file *file = open_memory(m, NULL), *lent;
+  CHECK(twz_file_new(NULL, m->n, &lent, NULL) == TWZ_OK && twz_file_borrow(lent, m->bytes, NULL) == TWZ_OK);
+  size_t before = m->n_fetches;
+  for (int level = 0; level < twz_file_info(lent)->n_levels; level++) {
+    raster a, b;
+    twz_window *window;
+    twz_range range;
+    size_t n = 1;
+    CHECK(read_raster(lent, NULL, level, NULL, NULL, &b, NULL) == TWZ_OK);
+    CHECK(m->n_fetches == before);
+    CHECK(read_raster(file, m, level, NULL, NULL, &a, NULL) == TWZ_OK && is_same(&a, &b));
+    before = m->n_fetches;
+    CHECK(twz_window_new(lent, level, NULL, &window, NULL) == TWZ_OK);
+    CHECK(twz_window_need(window, &range, 1, &n, NULL) == TWZ_OK && n == 0);
+    twz_window_free(window);
+    CHECK(twz_window_new(lent, level, NULL, &window, NULL) == TWZ_OK);
+    CHECK(twz_window_decode_into(window, NULL, b.heights, 0, b.valid, 0, NULL) == TWZ_OK && is_same(&a, &b)); /* not loaded */
+    twz_window_free(window);
+    free_raster(&a);
+    free_raster(&b);
+  }
+  CHECK(twz_file_check(lent, NULL, NULL, NULL, NULL) == TWZ_OK);
+  double place[2] = {0, 0}, height = -1;
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  asked.n_points = 1;
+  asked.rows = place;
+  asked.cols = place + 1;
+  asked.heights = &height;
+  twz_points *points;
+  size_t n_left = 1;
+  CHECK(twz_points_new(lent, &asked, &points, NULL) == TWZ_OK && twz_points_decode(points, NULL, &n_left, NULL) == TWZ_OK);
+  CHECK(n_left == 0 && (isnan(height) || height >= -1e9));
+  twz_points_free(points);
+  CHECK(m->n_fetches == before);
+  twz_file_free(lent);
+  twz_file_free(file);
+}
+
+/* A limit holds at once, and for what is decoded later. */
+static void the_cache_can_be_limited(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  raster r;
+  CHECK(read_raster(file, m, -1, NULL, NULL, &r, NULL) == TWZ_OK);
+  free_raster(&r);
+  uint64_t all = file->cached_bytes;
+  CHECK(all > 0);
+  twz_file_limit_cache(file, all - 1);
+  CHECK(file->cached_bytes < all);
+  twz_file_limit_cache(file, 0);
+  CHECK(file->cached_bytes == 0 && file->units.n == 0);
+  CHECK(read_raster(file, m, -1, NULL, NULL, &r, NULL) == TWZ_OK);
+  free_raster(&r);
+  CHECK(file->cached_bytes == 0);
+  twz_file_free(file);
+}
+
+typedef struct told {
+  uint64_t n_calls, n_before_end, last, all;
+  int is_monotonous;
+} told;
+
+static int listen(void *context, uint64_t n_done, uint64_t n_all) {
+  told *t = context;
+  t->is_monotonous &= n_done >= t->last && n_done <= n_all && (t->n_calls == 0 || n_all == t->all);
+  t->last = n_done;
+  t->all = n_all;
+  return ++t->n_calls > t->n_before_end;
+}
+
+static size_t n_reports, n_ended;
+
+/* Each long call tells how far it is, and ends where it is told to; what can go on gives the same in the end. */
+static void long_calls_report_and_can_be_ended(memory *m, twz_pool *pool) {
+  static places all, same;
+  twz_file *whole = open_memory(m, NULL);
+  raster expected;
+  twz_level size;
+  CHECK(read_raster(whole, m, -1, NULL, NULL, &expected, NULL) == TWZ_OK && twz_file_level(whole, -1, &size, NULL) == TWZ_OK);
+  for (int i = 0; i < N_POINTS; i++) {
+    all.rows[i] = below(size.n_rows);
+    all.cols[i] = below(size.n_cols);
+  }
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  asked.n_points = N_POINTS;
+  asked.rows = all.rows;
+  asked.cols = all.cols;
+  asked.heights = all.heights;
+  twz_points *points;
+  CHECK(twz_points_new(whole, &asked, &points, NULL) == TWZ_OK && twz_points_read(points, fetch, m, NULL, NULL) == TWZ_OK);
+  twz_points_free(points);
+  for (int way = 0; way < 8; way++) {
+    told t = {0, way & 1 ? (uint64_t)way / 2 : UINT64_MAX, 0, 0, 1};
+    twz_workers workers = TWZ_WORKERS;
+    if (way & 2) workers = *twz_pool_workers(pool);
+    workers.report_context = &t;
+    workers.report = listen;
+    twz_error error;
+    twz_file *file = open_memory(m, NULL);
+    raster r;
+    twz_window *window;
+    memset(&r, 0, sizeof r);
+    r.n = expected.n;
+    r.n_bytes = expected.n_bytes;
+    r.heights = malloc(r.n_bytes);
+    r.valid = malloc(r.n);
+    CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK && twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    twz_status status = twz_window_decode(window, &workers, &error);
+    CHECK(t.is_monotonous && (status == TWZ_OK || (status == TWZ_CANCELLED && error.text[0] && t.n_calls == t.n_before_end + 1)));
+    n_ended += status == TWZ_CANCELLED;
+    t.n_before_end = UINT64_MAX;
+    t.last = t.n_calls = 0;
+    if (status == TWZ_CANCELLED) CHECK(twz_window_read(window, r.heights, 0, NULL, 0, NULL) == TWZ_NOT_READY);
+    CHECK(twz_window_decode(window, &workers, NULL) == TWZ_OK);
+    CHECK(twz_window_read(window, r.heights, 0, r.valid, 0, NULL) == TWZ_OK && is_same(&r, &expected));
+    twz_window_free(window);
+    n_reports += t.n_calls;
+    twz_file_limit_cache(file, 0);
+    t = (told){0, way & 1 ? (uint64_t)way / 2 : UINT64_MAX, 0, 0, 1};
+    CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK && twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    status = twz_window_decode_into(window, &workers, r.heights, 0, NULL, 0, NULL);
+    CHECK(t.is_monotonous && (status == TWZ_OK || status == TWZ_CANCELLED));
+    twz_window_free(window);
+    t = (told){0, way & 1 ? (uint64_t)way / 2 : UINT64_MAX, 0, 0, 1};
+    status = twz_file_check(file, fetch, m, &workers, NULL);
+    CHECK(t.is_monotonous && status == (t.n_calls > t.n_before_end ? TWZ_CANCELLED : TWZ_OK));
+    CHECK(t.n_calls > 0 && (way & 1 || t.last > 0));
+    n_ended += status == TWZ_CANCELLED;
+    asked.heights = same.heights;
+    t = (told){0, way & 1 ? (uint64_t)way / 2 : UINT64_MAX, 0, 0, 1};
+    CHECK(twz_points_new(file, &asked, &points, NULL) == TWZ_OK);
+    status = twz_points_read(points, fetch, m, &workers, NULL);
+    CHECK(t.is_monotonous && (status == TWZ_OK || status == TWZ_CANCELLED));
+    t.n_before_end = UINT64_MAX;
+    CHECK(twz_points_read(points, fetch, m, &workers, NULL) == TWZ_OK);
+    CHECK(memcmp(all.heights, same.heights, sizeof all.heights) == 0);
+    twz_points_free(points);
+    twz_file_free(file);
+    free_raster(&r);
+  }
+  free_raster(&expected);
+  twz_file_free(whole);
+}
+
 /* ---- What must fail ---- */
 
 /* A window that is refused is refused again, and holds no units. */
@@ -449,6 +779,72 @@ static void counted_release(void *context, void *memory) {
   free(memory);
 }
 
+/* Of a borrowed file payloads are not copied, but for those at its end, which a decoder may read past. */
+static void borrowed_payloads_are_not_copied(memory *m) {
+  size_t n_held[2], n_borrowed = 0;
+  uint8_t *exact = malloc(m->n); /* nothing of this program follows it */
+  memcpy(exact, m->bytes, m->n);
+  for (int is_lent = 0; is_lent < 2; is_lent++) {
+    counter c = {SIZE_MAX, 0};
+    twz_options options = TWZ_OPTIONS;
+    options.allocator.context = &c;
+    options.allocator.allocate = counted_allocate;
+    options.allocator.release = counted_release;
+    twz_file *file;
+    twz_window *window;
+    CHECK(twz_file_new(&options, m->n, &file, NULL) == TWZ_OK);
+    CHECK((is_lent ? twz_file_borrow(file, exact, NULL) : twz_file_load(file, fetch, m, NULL)) == TWZ_OK);
+    CHECK(twz_window_new(file, -1, NULL, &window, NULL) == TWZ_OK && twz_window_load(window, fetch, m, NULL) == TWZ_OK);
+    n_held[is_lent] = c.n_held;
+    for (size_t i = 0; i < file->segments.n_slots && is_lent; i++) {
+      for (entry *e = file->segments.slots[i]; e; e = e->next) {
+        const segment *s = (const segment *)e;
+        for (int k = 0; k < s->n_keys; k++) {
+          n_borrowed += s->payloads[k].length && s->payloads[k].offset + s->payloads[k].length + PAYLOAD_SLACK <= m->n;
+        }
+      }
+    }
+    CHECK(twz_window_decode(window, NULL, NULL) == TWZ_OK);
+    twz_window_free(window);
+    twz_file_free(file);
+  }
+  CHECK(n_held[0] - n_held[1] == n_borrowed);
+  n_lent += n_borrowed;
+  free(exact);
+}
+
+/* Heights at points all over the finest level; m NULL: of a file in memory. */
+static twz_status sample_points(twz_file *file, memory *m, twz_error *error) {
+  static places all;
+  twz_level size;
+  TRY(twz_file_level(file, -1, &size, error));
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  asked.n_points = N_POINTS;
+  asked.rows = all.rows;
+  asked.cols = all.cols;
+  asked.heights = all.heights;
+  for (int i = 0; i < N_POINTS; i++) {
+    all.rows[i] = below(size.n_rows);
+    all.cols[i] = below(size.n_cols);
+  }
+  twz_points *points;
+  twz_file_limit_cache(file, 0);
+  TRY(twz_points_new(file, &asked, &points, error));
+  twz_status status = twz_points_read(points, fetch, m, NULL, error);
+  twz_points_free(points);
+  return status;
+}
+
+static twz_status sample_borrowed(memory *m, const twz_options *options, twz_error *error) {
+  twz_file *file;
+  TRY(twz_file_new(options, m->n, &file, error));
+  twz_status status = twz_file_borrow(file, m->bytes, error);
+  if (status == TWZ_OK) status = sample_points(file, NULL, error);
+  if (status == TWZ_OK) status = twz_file_check(file, NULL, NULL, NULL, error);
+  twz_file_free(file);
+  return status;
+}
+
 /* Wherever memory ends, that is said, and all of it comes back. */
 static void no_memory_is_an_error(memory *m) {
   twz_status status = TWZ_NO_MEMORY;
@@ -464,6 +860,8 @@ static void no_memory_is_an_error(memory *m) {
     status = twz_file_new(&options, m->n, &file, &error);
     if (status == TWZ_OK) status = twz_file_load(file, fetch, m, &error);
     if (status == TWZ_OK) status = read_raster(file, m, -1, NULL, NULL, &r, &error);
+    if (status == TWZ_OK) status = sample_points(file, m, &error);
+    if (status == TWZ_OK) status = sample_borrowed(m, &options, &error);
     CHECK(status == TWZ_OK || (status == TWZ_NO_MEMORY && error.status == TWZ_NO_MEMORY && error.text[0]));
     free_raster(&r);
     twz_file_free(file);
@@ -526,8 +924,49 @@ static void calls_that_are_wrong_say_so(memory *m) {
   CHECK(twz_window_block(window, 0, 0, &block, &error) == TWZ_OK);
   CHECK(twz_window_block(window, 1, 0, &block, &error) == TWZ_BAD_ARGUMENT); /* level 0 has one */
   twz_window_free(window);
+  double place[2] = {0, 0}, height;
+  twz_points_request asked = TWZ_POINTS_REQUEST;
+  twz_points *points;
+  size_t n_left = 1;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_OK); /* no points */
+  CHECK(twz_points_decode(points, NULL, &n_left, &error) == TWZ_OK && n_left == 0);
+  twz_points_free(points);
+  asked.n_points = 1;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_BAD_ARGUMENT && points == NULL);
+  asked.rows = asked.cols = place;
+  asked.heights = &height;
+  asked.level = n;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_BAD_ARGUMENT && points == NULL);
+  asked.level = 0;
+  asked.interpolation = (twz_interpolation)2;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_BAD_ARGUMENT && points == NULL);
+  asked.interpolation = TWZ_NEAREST;
+  asked.size = 0;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_BAD_ARGUMENT && points == NULL);
+  CHECK(strcmp(error.text, "twz_points_request.size is 0, expected sizeof(twz_points_request): begin with its macro") == 0);
+  asked.size = sizeof asked;
+  CHECK(twz_points_new(file, &asked, &points, &error) == TWZ_OK);
+  CHECK(twz_points_decode(points, NULL, &n_left, &error) == TWZ_NOT_READY && n_left == 1);
+  CHECK(twz_points_feed(points, 0, m->bytes, m->n, &error) == TWZ_BAD_ARGUMENT);
+  twz_range range;
+  size_t n_needed;
+  CHECK(twz_points_need(points, &range, 0, &n_needed, &error) == TWZ_BAD_ARGUMENT);
+  m->is_broken = 1;
+  twz_file_limit_cache(file, 0);
+  status = twz_points_read(points, fetch, m, NULL, &error);
+  CHECK(status == TWZ_FETCH_FAILED || (status == TWZ_OK && !twz_file_info(file)->has_valid));
+  m->is_broken = 0;
+  CHECK(twz_points_read(points, fetch, m, NULL, &error) == TWZ_OK); /* points outlive a failed fetch */
+  twz_points_free(points);
+  twz_workers none = {0};
+  CHECK(twz_window_new(file, 0, NULL, &window, &error) == TWZ_OK && twz_window_load(window, fetch, m, &error) == TWZ_OK);
+  CHECK(twz_window_decode(window, &none, &error) == TWZ_BAD_ARGUMENT && strstr(error.text, "twz_workers.size is 0"));
+  twz_window_free(window);
   twz_file_free(file);
   twz_options options = TWZ_OPTIONS;
+  options.size = 0;
+  CHECK(twz_file_new(&options, m->n, &file, &error) == TWZ_BAD_ARGUMENT && file == NULL);
+  options.size = sizeof options;
   options.max_bytes = 500;
   file = open_memory(m, &options);
   raster r;
@@ -876,6 +1315,13 @@ int main(int n, char **files) {
     units_in_use_are_in_no_list(&m);
     rows_may_lie_anywhere(&m);
     windows_may_be_decoded_into_memory(&m, pool);
+    heights_at_points_are_those_of_samples(&m, pool);
+    units_of_points_are_read_once(&m);
+    points_keep_to_their_memory(&m);
+    borrowed_files_need_no_bytes(&m);
+    borrowed_payloads_are_not_copied(&m);
+    the_cache_can_be_limited(&m);
+    long_calls_report_and_can_be_ended(&m, pool);
     a_refused_window_holds_nothing(&m);
     a_damaged_version_is_no_other_one(&m);
     additions_are_refused_or_ignored(&m);
@@ -890,7 +1336,7 @@ int main(int n, char **files) {
     damage_is_noticed(&m);
     free(m.bytes);
   }
-  CHECK(n == 1 || (n_parts > 100 && n_overlaps > 10));
+  CHECK(n == 1 || (n_parts > 100 && n_overlaps > 10 && n_between > 10000 && n_lent > 100 && n_reports > 100 && n_ended > 100));
   twz_pool_free(pool);
   if (n_failed) fprintf(stderr, "%d checks failed\n", n_failed);
   return n_failed != 0;

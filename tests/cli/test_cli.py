@@ -62,6 +62,27 @@ def twz(tmp_path, dem):
 # --- the main job ------------------------------------------------------------------------------
 
 
+def test_what_verify_and_compress_find_is_told_in_options(tmp_path, dem, twz):
+    with rasterio.open(dem) as dataset:
+        heights, profile = dataset.read(1), dataset.profile
+    narrow = tmp_path / "narrow.tif"
+    with rasterio.open(narrow, "w", **profile | {"height": 10}) as dataset:
+        dataset.write(heights[:10], 1)
+    (tmp_path / "folder").mkdir()
+    shutil.copy(narrow, tmp_path / "folder" / f"{twz.stem}.tif")
+    asked = ["--heights-are", "depth"]
+    alone = ["verify", str(twz), str(narrow), *asked]
+    several = ["verify", str(twz), str(twz), "--originals", str(tmp_path / "folder"), *asked]
+    for words in (alone, [*alone, "--json"], several, [*several, "--json"]):
+        told = run(*words).output
+        assert "(with --part only what it covers is compared)" in told, told
+        assert "found depths (--heights-are)" in told, told
+        assert "`" not in told
+    deep = write_geotiff(tmp_path / "d.tif", heights, tags={"positive": "down"})
+    told = json.loads(run("compress", str(deep), str(tmp_path / "d.twz"), "--json").stdout)
+    assert any("choose with --heights-are" in note for note in told["notes"]), told["notes"]
+
+
 def test_no_georeference_leaves_place_and_crs_out(tmp_path, dem):
     twz = tmp_path / "out.twz"
     done = run("compress", dem, twz, "--no-georeference", "--max-error", 0, "--method", "store")

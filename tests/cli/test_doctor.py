@@ -8,6 +8,9 @@ import sys
 import pytest
 from commands import run
 
+from terrainwave import native_sources
+from terrainwave.coding.native_library import SWITCH
+
 KNOWS = "Format Details:\n  Short Name: TWZ\n  Long Name: terrainwave (.twz)"
 OTHER = "ERROR 1: TWZ driver was compiled against GDAL 3.6, but the current library version is 3.10"
 UNKNOWN = "ERROR 1: --format option given with format 'TWZ', but that format not\nrecognised."
@@ -103,6 +106,56 @@ def test_what_was_found_is_json_too(gdal):
     assert (found["gdal"], found["command"], found["reads_twz"]) == ("3.6.2", str(program), True)
     assert found["advice"] == []
     assert found["rasterio_reads_twz"] is False
+
+
+@pytest.mark.native
+def test_a_native_library_that_is_used_is_named(gdal, library, monkeypatch):
+    gdal("GDAL 3.6.2, released 2023/01/02", KNOWS)
+    monkeypatch.setenv(SWITCH, "1")
+    assert f"the native library is used ({library})" in run("doctor").stdout.splitlines()
+    found = json.loads(run("doctor", "--json").stdout)
+    assert (found["native"], found["native_advice"]) == (str(library), "")
+
+
+@pytest.mark.parametrize(
+    ("note", "is_clone", "told"),
+    [
+        ('{"missing": "found no C compiler (cc) on the PATH"}', True,
+         r"found no C compiler \(cc\) on the PATH; with a C compiler installed: pip install"
+         r" --editable /"),
+        ('{"missing": "it was built for any platform"}', False, "it was built for any platform$"),
+        ("", False, "nothing has built it so far$"),
+    ],
+)  # fmt: skip
+def test_a_native_library_that_is_missing_is_told_with_the_reason(
+    gdal, monkeypatch, tmp_path, note, is_clone, told
+):
+    gdal("GDAL 3.6.2, released 2023/01/02", KNOWS)
+    (tmp_path / "native.json").write_text(note)
+    monkeypatch.setenv(SWITCH, "1")
+    monkeypatch.setattr(native_sources, "NOTE", tmp_path / "native.json")
+    monkeypatch.setattr(native_sources, "LIBRARY", tmp_path / "none.so")
+    if not is_clone:
+        monkeypatch.setattr(native_sources, "clone", lambda: None)
+    result = run("doctor")
+    assert result.exit_code == 0
+    line = result.stdout.splitlines()[1]
+    assert re.search(
+        f"^the native library is not used: .*found no library in the package: {told}", line
+    )
+
+
+def test_a_native_library_that_is_turned_off_is_told(gdal):
+    gdal("GDAL 3.6.2, released 2023/01/02", KNOWS)
+    assert f"{SWITCH} is 0 in the environment" in run("doctor").stdout.splitlines()[1]
+
+
+def test_a_native_library_that_cannot_be_loaded_is_told(gdal, monkeypatch, tmp_path):
+    gdal("GDAL 3.6.2, released 2023/01/02", KNOWS)
+    (tmp_path / "lib.so").write_bytes(b"no library")
+    monkeypatch.setenv(SWITCH, "1")
+    monkeypatch.setattr(native_sources, "LIBRARY", tmp_path / "lib.so")
+    assert "lib.so cannot be loaded (" in run("doctor").stdout.splitlines()[1]
 
 
 def test_what_programs_print_cannot_reach_the_terminal(gdal):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from lone_units_drawn import Drawn, drawn_unit
 
+from terrainwave import native_sources
 from terrainwave.codec import in_c
 from terrainwave.codec.rapid import unit_in_c
 from terrainwave.codec.rapid.details import count_seen
@@ -129,12 +130,12 @@ def test_the_library_encodes_where_it_is_wanted(with_library, monkeypatch):
         assert len(used) == n_used
 
 
-def test_a_library_of_another_interface_is_told_once_and_not_used(with_library, monkeypatch):
-    monkeypatch.setattr(native_library, "ABI", native_library.ABI + 1)
+def test_a_library_of_other_sources_is_told_once_and_not_used(with_library, monkeypatch):
+    monkeypatch.setattr(native_sources, "digest_of", lambda root: "0123456789abcdef")
     monkeypatch.setattr(unit_in_c, "encode", None)
     coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
     spec, target = GroupSpec.alone(Region(0, 0, 3, 3), 1, 0, 9), np.ones((3, 3), dtype=np.int32)
-    with pytest.warns(TerrainwaveWarning, match="interface of version") as told:
+    with pytest.warns(TerrainwaveWarning, match="is built of other sources") as told:
         found = [coder.encode(spec, None, target, None)[0] for _ in range(2)]
     assert len(told) == 1
     assert found == [BY_NUMBA[0](coder, spec, None, target, None)[0]] * 2
@@ -161,7 +162,7 @@ def test_a_library_without_memory_raises_as_python_does(with_library, monkeypatc
 
 
 def test_a_job_of_another_size_is_refused(with_library):
-    """A library of other sources, which has the same ABI by mistake."""
+    """As one of other sources would be, if the digest did not tell."""
     encoder = in_c.Owned("twz_python_encoder_new", "twz_python_encoder_free")
     job = unit_in_c._Job(size=ctypes.sizeof(unit_in_c._Job) - 8)
     tables = unit_in_c._new_tables(tables_from(plain_tables(K_MAX, 0)))

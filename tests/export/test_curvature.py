@@ -17,7 +17,7 @@ from strategies import terrain_like, write_geotiff
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import curvature
+from terrainwave.export import curvature, mesh_files
 from terrainwave.export.curvature import divided
 from terrainwave.export.frames import globe_way, to_frame
 from terrainwave.export.mesh_files import mesh_for_file
@@ -265,6 +265,49 @@ def test_an_error_that_takes_too_many_triangles_is_refused_with_one_that_does_no
         assert divided(mesh, globe_way(mesh)).n_triangles < 4000
 
 
+@pytest.mark.parametrize("case", ["30 km of UTM", "cells of 9 km", "Mars"])
+@pytest.mark.parametrize("slope", [0, 0.1, 20])
+def test_the_error_that_a_refusal_names_is_taken_and_near_the_smallest_that_is(
+    tmp_path, monkeypatch, case, slope
+):
+    monkeypatch.setattr(curvature, "_MOST_ADDED", 500)
+    heights = (slope * terrain_like(*CASES[case][2])).astype(np.int16)
+    with terrainwave.open(raster(tmp_path, case, heights)) as terrain:
+
+        def refused(max_error):
+            """Return the error that is named instead; None if a mesh keeps to the given one."""
+            try:
+                _, is_within = mesh_for_file(
+                    lambda error: terrain.mesh(max_error=error), tmp_path / "a.ply", max_error,
+                    terrain.quanta_error, frame="ecef",
+                )  # fmt: skip
+            except InvalidArgumentError as error:
+                return float(str(error).split("at least ")[1].split()[0])
+            assert is_within
+            return None
+
+        named = refused(0.0)
+        assert refused(named) is None
+        assert refused(named / 2) is not None
+        assert refused(refused(named / 4)) is None
+
+
+def test_an_error_far_below_the_curvature_is_refused_after_few_meshes(tmp_path, monkeypatch):
+    monkeypatch.setattr(curvature, "_MOST_ADDED", 500)
+    n_made = 0
+    with terrainwave.open(raster(tmp_path, "cells of 9 km")) as terrain:
+
+        def make(max_error):
+            nonlocal n_made
+            n_made += 1
+            return terrain.mesh(max_error=max_error)
+
+        with pytest.raises(InvalidArgumentError, match="on a globe"):
+            mesh_for_file(make, tmp_path / "a.ply", 0.01, terrain.quanta_error, frame="ecef")
+    # for what is asked, what is named, which is taken, and half of that, which is not
+    assert n_made <= 6
+
+
 def test_exaggerated_heights_do_not_exaggerate_the_curvature(tmp_path):
     path = raster(tmp_path, "30 km of UTM")
     with terrainwave.open(path) as terrain:
@@ -321,3 +364,16 @@ def test_only_meshes_with_a_share_for_the_curvature_are_divided():
     assert divided(mesh, globe_way(mesh)) is mesh
     asked = replace(mesh, attributes={"curvature": CurvatureShare(100.0)})
     assert divided(asked, globe_way(mesh)).n_triangles > 1
+
+
+def test_no_error_below_the_one_that_was_refused_is_named(monkeypatch):
+    """Smaller errors may be taken again, where closer meshes are flatter."""
+
+    def fitted(_make, _rounding_of, error, *_):
+        if error == 1:
+            raise mesh_files._TooSmall(1.5)
+        return None, True
+
+    monkeypatch.setattr(mesh_files, "_fitted", fitted)
+    with pytest.raises(InvalidArgumentError, match=r"found max_error 1, expected at least 1\.5 "):
+        mesh_for_file(lambda _: None, "a.ply", 1, 0)

@@ -193,6 +193,125 @@ def test_tiles_off_the_terrain_are_empty(hilly):
     assert far["height"] is None
 
 
+# Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
+
+PLACES = [(46.2, 8.2), (46.31, 8.44), (0.0, 100.0), (46.0 + 0.4 / 65, 8.0 + 1e-9)]
+TEXT = "|".join(f"{lat!r},{lon!r}" for lat, lon in PLACES)
+OBJECTS = [{"latitude": lat, "longitude": lon} for lat, lon in PLACES]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda client: client.get("/hills/height", params={"locations": TEXT}),
+        lambda client: client.get(f"/hills/height?locations={TEXT}&interpolation=bilinear"),
+        lambda client: client.post("/hills/height", json={"locations": OBJECTS}),
+        lambda client: client.post("/hills/height", json={"locations": TEXT}),
+        lambda client: client.post("/hills/height", data={"locations": TEXT}),
+        lambda client: client.post("/hills/height", content=json.dumps({"locations": OBJECTS})),
+    ],
+)
+def test_heights_at_many_places_are_those_of_the_library(hilly, ask):
+    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
+        answer = ask(client)
+        assert answer.status_code == 200
+        found = answer.json()
+        expected = terrain.sample([(lon, lat) for lat, lon in PLACES[:2]]).tolist()
+        one = [client.get(f"/hills/height?lat={lat}&lon={lon}").json() for lat, lon in PLACES]
+    assert found["status"] == "OK"
+    assert (found["max_error"], found["units"]) == (one[0]["max_error"], "m")
+    heights = [result["elevation"] for result in found["results"]]
+    assert heights[:2] == pytest.approx(expected, abs=1e-9)
+    assert heights == [single["height"] for single in one]
+    assert heights[2] is None
+    assert isinstance(heights[3], float)  # the outermost half pixel
+    for result, (lat, lon) in zip(found["results"], PLACES, strict=True):
+        assert (result["latitude"], result["longitude"]) == (lat, lon)
+        assert result["location"] == {"lat": lat, "lng": lon}
+        assert result["dataset"] == "hills"
+
+
+BAD_LOCATIONS = [
+    (None, "found no locations, expected locations=lat,lon|lat,lon"),
+    ("", "found no locations, expected locations=lat,lon|lat,lon"),
+    ([], "found no locations, expected locations=lat,lon|lat,lon"),
+    ({"latitude": 1}, "found no locations, expected locations=lat,lon|lat,lon"),
+    ("1,2|3", "found location 2 the text '3', expected lat,lon, or in JSON an object"),
+    ("1,2|", "found location 2 '', expected lat,lon"),
+    ("1;2", "found location 1 '1;2', expected lat,lon"),
+    ("91,0", "found latitude the text '91' of location 1, expected -90 … 90 degrees"),
+    ("0,0|0,721", "found longitude the text '721' of location 2, expected -720 … 720 degrees"),
+    ("1e999,0", "found latitude the text '1e999' of location 1"),
+    ("--,0", "found latitude '--' of location 1"),
+    ([[1, 2]], "found location 1 [1, 2], expected lat,lon"),
+    ([{"latitude": 1}], "found longitude None of location 1"),
+    ([{"latitude": True, "longitude": 0}], "found latitude True of location 1"),
+    ([{"latitude": 10**400, "longitude": 0}], "of location 1, expected -90 … 90 degrees"),
+    ([{"latitude": float("nan"), "longitude": 0}], "found latitude nan of location 1"),
+    ([{"latitude": "a\nb", "longitude": 0}], "of location 1, expected -90 … 90 degrees"),
+    ("|".join(["0,0"] * 10_001), "found 10,001 locations, expected at most 10,000: ask in several"),
+]
+
+
+@pytest.mark.parametrize(("locations", "line"), BAD_LOCATIONS)
+def test_wrong_locations_are_one_line(hilly, locations, line):
+    with client_of(hilly) as client:
+        answer = client.post("/hills/height", content=json.dumps({"locations": locations}))
+        if isinstance(locations, str) and len(locations) < 1000:
+            asked = client.get("/hills/height", params={"locations": locations})
+            assert asked.json() == answer.json()
+    assert answer.status_code == 400
+    assert set(answer.json()) == {"status", "error"}
+    assert answer.json()["status"] == "INVALID_REQUEST"
+    assert line in answer.json()["error"]
+    assert len(answer.json()["error"].splitlines()) == 1
+    assert len(answer.json()["error"]) < 300
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b"{", b"[]", b"\xff", b"[" * 100_000, b'"0,0"', b"locations=0,0"]
+)
+def test_a_body_that_is_no_object_is_one_line(hilly, body):
+    with client_of(hilly) as client:
+        answer = client.post("/hills/height", content=body)
+    assert answer.status_code == 400
+    assert answer.json()["error"].startswith("found a body without a JSON object, expected ")
+
+
+def test_another_interpolation_and_half_a_place_are_refused(hilly):
+    with client_of(hilly) as client:
+        cubic = client.get("/hills/height?locations=46.2,8.2&interpolation=cubic")
+        half = client.get("/hills/height?lat=46.2")
+        long_body = client.post("/hills/height", content=b" " * (1 << 20) + b"{}")
+        unknown = client.post("/other/height", json={"locations": "0,0"})
+    assert cubic.status_code == half.status_code == 400
+    assert cubic.json()["error"] == "found interpolation 'cubic', expected bilinear"
+    assert half.json()["error"].startswith("found longitude None of location 1, expected -720")
+    assert long_body.status_code == 413
+    assert unknown.status_code == 404
+
+
+def test_as_many_places_as_allowed_are_answered_in_their_order(hilly):
+    rng = np.random.default_rng(4)
+    lat, lon = rng.uniform(46.01, 46.39, 10_000), rng.uniform(8.01, 8.49, 10_000)
+    places = [{"latitude": a, "longitude": b} for a, b in zip(lat, lon, strict=True)]
+    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
+        found = client.post("/hills/height", json={"locations": places}).json()["results"]
+        expected = terrain.sample(np.stack([lon, lat], axis=1))
+    assert [result["elevation"] for result in found] == pytest.approx(expected.tolist(), abs=1e-6)
+
+
+def test_heights_go_round_a_whole_globe(tmp_path):
+    heights = (np.arange(90)[None] + 200 * np.arange(45)[:, None]).astype(np.int16)
+    path = write_twz(tmp_path, heights, (-180, -90, 180, 90), max_error=0)
+    text = "2,-180|2,180|2,-178|2,178|2,538"
+    with client_of(path) as client:
+        answer = client.get("/hills/height", params={"locations": text}).json()
+    found = [result["elevation"] - 200 * 21.5 for result in answer["results"]]
+    # The last column has 89, the first 0: half way between them 44.5.
+    assert found == pytest.approx([44.5, 44.5, 0, 89, 89])
+
+
 @pytest.mark.parametrize(
     ("path", "status"),
     [
@@ -203,9 +322,9 @@ def test_tiles_off_the_terrain_are_empty(hilly):
         ("/hills/rgb/999999999999/0/0.png", 404),
         ("/hills/rgb/a/0/0.png", 422),
         ("/other/rgb/0/0/0.png", 404),
-        ("/hills/height?lon=nan&lat=0", 422),
-        ("/hills/height?lon=0&lat=91", 422),
-        ("/hills/height", 422),
+        ("/hills/height?lon=nan&lat=0", 400),
+        ("/hills/height?lon=0&lat=91", 400),
+        ("/hills/height", 400),
         ("/static/../app.py", 404),
         ("/static/%2e%2e/app.py", 404),
         ("/docs", 404),

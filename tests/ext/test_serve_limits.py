@@ -1,5 +1,6 @@
 """What `terrainwave serve` refuses, ends or does not say: limits against hostile clients."""
 
+import asyncio
 import logging
 import os
 import select
@@ -89,6 +90,31 @@ def test_a_request_in_drops_is_cut_off(address, drop):
             for _ in range(3000):  # a minute of them, if nobody ends it
                 client.sendall(drop)
                 select.select([], [], [client], 0.02)
+
+
+def test_a_body_that_does_not_come_is_given_up(client, monkeypatch):
+    """A client sends the head of a request, and never its body."""
+    monkeypatch.setattr(client_limits, "ASK_SECONDS", 0.05)
+
+    async def ask():
+        sent = []
+
+        async def receive():
+            await asyncio.Event().wait()
+
+        async def send(message):
+            sent.append(message)
+
+        headers = [(b"host", b"127.0.0.1"), (b"content-length", b"9")]
+        scope = {
+            "type": "http", "method": "POST", "path": "/hills/height", "raw_path": b"/hills/height",
+            "query_string": b"", "headers": headers, "http_version": "1.1", "scheme": "http",
+            "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 80), "root_path": "", "state": {},
+        }  # fmt: skip
+        await client.app(scope, receive, send)
+        return sent
+
+    assert asyncio.run(ask())[0]["status"] == 408
 
 
 async def large(scope, receive, send):

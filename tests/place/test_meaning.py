@@ -45,12 +45,12 @@ LOLA = np.linspace(-3000, 6000, N * N).reshape(N, N).astype(np.int16)
 
 
 def write(path, heights, *, crs="EPSG:4326", tags=None, band_tags=None, scale=1.0, offset=0.0,
-          unit=None, description=None, nodata=None, driver="GTiff"):  # fmt: skip
-    """Write a raster around 10.2 E, 46.1 N and return its path."""
+          unit=None, description=None, nodata=None, driver="GTiff", col=0):  # fmt: skip
+    """Write a raster around 10.2 E, 46.1 N, or columns to the east of it, and return its path."""
     n_rows, n_cols = heights.shape
     with rasterio.open(
         path, "w", driver=driver, width=n_cols, height=n_rows, count=1, dtype=heights.dtype,
-        crs=crs, transform=Affine(1 / 64, 0, 10.2, 0, -1 / 64, 46.1), nodata=nodata,
+        crs=crs, transform=Affine(1 / 64, 0, 10.2 + col / 64, 0, -1 / 64, 46.1), nodata=nodata,
     ) as dataset:  # fmt: skip
         dataset.write(heights, 1)
         dataset.scales, dataset.offsets = (scale,), (offset,)
@@ -568,6 +568,148 @@ def test_radii_can_be_heights_if_that_is_asked_for(tmp_path):
     assert notes == []
     with terrainwave.open(path) as terrain:
         assert Globe(terrain).height_range == (1_735_900.0, 1_740_400.0)
+
+
+# What meets radii of the Moon, all in float32: numbers, and what is said of them.
+RELIEF = (LOLA / 2).astype(np.float32)
+FAR = RELIEF + np.float32(1_737_400)
+MEETS = {
+    "radii": (FAR, {}),
+    "heights": (RELIEF, {}),
+    "depths": (-RELIEF, {"band_tags": {"positive": "down"}}),
+    "zeros between": (np.where(LOLA < 0, np.float32(0), FAR), {}),
+    "voids": (np.full((N, N), np.nan, np.float32), {}),
+}
+WIDE = {"max_error": 0.5, "height_range": (-10_000, 2_000_000)}
+
+
+def moon(path, kind, **about):
+    """Write a raster of `MEETS`."""
+    numbers, said = MEETS[kind]
+    return write(path, numbers, crs=MOON, **said | about)
+
+
+def as_array(path):
+    with rasterio.open(path) as dataset:
+        return dataset.read(1)
+
+
+def as_labelled(path):
+    return xr.open_dataarray(path, engine="rasterio")[0]
+
+
+def as_twz(path, **options):
+    target = path.with_suffix(".twz")
+    quietly(terrainwave.compress, path, target, max_error=0, block=32, threads=1, **options)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("other", "order", "opened_as"),
+    [
+        ("heights", (0, 1), str),
+        ("heights", (1, 0), rasterio.open),
+        ("heights", (0, 1), as_twz),
+        ("depths", (0, 1), str),
+        ("depths", (1, 0), as_twz),
+        ("zeros between", (1, 0), str),
+    ],
+)
+def test_a_mosaic_of_radii_and_others_is_refused_unless_told(tmp_path, other, order, opened_as):
+    pair = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", other, col=N)]
+    sources = [opened_as(pair[place]) for place in order]
+    with pytest.raises(InvalidHeightsError, match=r"found (radii|heights|depths).*, .* has "):
+        made(sources, tmp_path)
+    path, _ = made(sources, tmp_path, heights_are="height")
+    with terrainwave.open(path) as terrain:
+        assert terrain.info().heights_are == "height"
+
+
+@pytest.mark.parametrize(("other", "order"), [("radii", (0, 1)), ("voids", (1, 0))])
+def test_a_mosaic_of_radii_alone_is_of_radii(tmp_path, other, order):
+    pair = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", other, col=N)]
+    path, notes = made([pair[place] for place in order], tmp_path)
+    assert "taken for radii" in notes[0]
+    with terrainwave.open(path) as terrain:
+        assert terrain.info().heights_are == "radius"
+
+
+def test_a_mosaic_of_radii_that_were_asked_for_takes_no_other_numbers(tmp_path):
+    asked = as_twz(moon(tmp_path / "a.tif", "heights"), heights_are="radius")
+    plain = moon(tmp_path / "p.tif", "heights", col=N)
+    with pytest.raises(InvalidHeightsError, match=r"found heights, .* has radii \(its metadata\)"):
+        made([asked, plain], tmp_path)
+    held = as_twz(moon(tmp_path / "h.tif", "radii"), heights_are="height")
+    with pytest.raises(InvalidHeightsError, match=r"found radii \(near the radius of the body\), "):
+        made([held, moon(tmp_path / "r.tif", "radii", col=N)], tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
+@pytest.mark.parametrize(
+    ("own", "other", "opened_as"),
+    [
+        ("radii", "heights", str),
+        ("radii", "heights", as_array),
+        ("radii", "depths", as_labelled),
+        ("radii", "zeros between", str),
+        ("heights", "radii", rasterio.open),
+        ("heights", "radii", as_array),
+        ("depths", "radii", as_labelled),
+    ],
+)
+def test_patch_and_verify_refuse_radii_beside_others(tmp_path, own, other, opened_as):
+    source, newer = moon(tmp_path / "own.tif", own), moon(tmp_path / "other.tif", other)
+    path, _ = made(source, tmp_path, **WIDE)
+    with pytest.raises(InvalidHeightsError, match=r"found (radii|heights|depths).*, the file has"):
+        quietly(terrainwave.patch, path, opened_as(newer))
+    with pytest.raises(InvalidHeightsError, match=r"found (radii|heights|depths).*, the file has"):
+        quietly(terrainwave.patch, path, source, original=opened_as(newer))
+    assert quietly(terrainwave.patch, path, source, original=source).n_recoded == 0
+    for report in (
+        terrainwave.verify(path, newer),
+        terrainwave.verify(path, newer, part=True),
+    ):
+        assert any("numbers mean something else: found" in one for one in report.problems)
+    assert terrainwave.verify(path, source).ok
+
+
+def test_a_patch_of_a_mosaic_has_one_kind_of_numbers(tmp_path):
+    halves = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", "heights", col=N)]
+    both = [halves[1], moon(tmp_path / "w.tif", "heights")]
+    path, _ = made(both, tmp_path, **WIDE)
+    with pytest.raises(InvalidHeightsError, match=r"o.tif: found heights, .* has radii \(near"):
+        terrainwave.patch(path, halves)
+
+
+def test_a_patch_of_voids_alone_fits_radii(tmp_path):
+    path, _ = made(moon(tmp_path / "r.tif", "radii"), tmp_path, **WIDE)
+    assert quietly(terrainwave.patch, path, moon(tmp_path / "v.tif", "voids")).n_recoded > 0
+    with terrainwave.open(path) as terrain:
+        assert terrain.read(masked=True).mask.all()
+
+
+def test_radii_that_are_asked_for_meet_radii_alone(tmp_path):
+    heights, radii = moon(tmp_path / "h.tif", "heights"), moon(tmp_path / "r.tif", "radii")
+    path, _ = made(heights, tmp_path)
+    with pytest.raises(InvalidHeightsError, match=r"found radii \(heights_are\), the file has"):
+        terrainwave.patch(path, heights, heights_are="radius")
+    assert not terrainwave.verify(path, heights, heights_are="radius").ok
+    path, _ = made(radii, tmp_path)
+    assert not terrainwave.verify(path, radii, heights_are="height").ok
+    for source, kind in ((heights, "radius"), (radii, "height")):
+        path, _ = made(source, tmp_path, heights_are=kind)
+        for options in ({}, {"heights_are": kind}):
+            assert terrainwave.verify(path, source, **options).ok
+            assert terrainwave.patch(path, source, **options).n_recoded == 0
+
+
+def test_numbers_of_which_some_are_near_the_radius_are_heights_with_a_note(tmp_path):
+    path, notes = made(moon(tmp_path / "z.tif", "zeros between"), tmp_path)
+    assert "only some of its numbers are near the radius" in notes[0]
+    with terrainwave.open(path) as terrain:
+        assert terrain.info().heights_are == "height"
+    path, notes = made(moon(tmp_path / "z.tif", "zeros between"), tmp_path, nodata=0)
+    assert "taken for radii" in notes[0]
 
 
 def test_radii_become_heights_above_the_ellipsoid(tmp_path):

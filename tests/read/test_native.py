@@ -1,6 +1,6 @@
 """Does the native library read what terrainwave reads itself, and is it used where it fits alone?
 
-Those marked `native` build it first, as the wheel terrainwave-native has it.
+Those marked `native` use the library beside the package, and build it first where that is not done.
 """
 
 import json
@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 from conformance import library as reader
 from golden_files import GOLDEN
-from native_site import PROJECT, ROOT, forget_library, found_at
+from native_site import ROOT, found_at
 from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave import native_sources
 from terrainwave.coding import native_library
 from terrainwave.container.sources.byte_source import FileSource
 from terrainwave.errors import (
@@ -32,6 +33,7 @@ from terrainwave.errors import (
 )
 from terrainwave.file import TerrainFile
 from terrainwave.read import native
+from terrainwave.read.decoder import TreeDecoder
 
 MANIFEST = json.loads((GOLDEN / "v2" / "manifest.json").read_text(encoding="utf-8"))
 FILES = sorted(MANIFEST["files"])
@@ -172,6 +174,72 @@ def test_payloads_take_as_many_requests(with_library, tmp_path):
     assert n_requests[1] <= n_requests[0] + 1
 
 
+def points_of(terrain, n, seed):
+    """Return points inside a raster, on its samples, at its edges and outside."""
+    rng = np.random.default_rng(seed)
+    n_rows, n_cols = terrain.shape
+    rows, cols = rng.uniform(-1, n_rows, n), rng.uniform(-1, n_cols, n)
+    rows[::5], cols[::7] = np.rint(rows[::5]), np.rint(cols[::7])
+    rows[3::20], cols[4::20] = n_rows - 1, n_cols - 1
+    rows[5], cols[6] = np.nan, np.inf
+    return rows, cols
+
+
+@pytest.mark.native
+@pytest.mark.full
+@pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "cdf53", "store"])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_heights_at_points_are_equal_to_the_last_bit(method, dtype, with_library, monkeypatch):
+    rings = {"border_rings": 3} if method == "cdf97" else {}
+    heights = HEIGHTS.astype(dtype) / dtype(1 if dtype is np.int16 else 7)
+    heights[HEIGHTS == NODATA] = NODATA
+    data = twz_bytes(heights, max_error=1, nodata=NODATA, method=method, block=32, **rings)
+    one, other = pair(data, cache_bytes=0)
+    with one, other:
+        rows, cols = points_of(one, 3000, 7)
+        for level in range(one.n_levels):
+            for voids in ("any", "exact"):
+                shift = 2.0 ** (one.n_levels - 1 - level)
+                asked = {"level": level, "voids": voids}
+                expected = one.heights_at(rows / shift, cols / shift, **asked)
+                found = other.heights_at(rows / shift, cols / shift, **asked)
+                assert found.tobytes() == expected.tobytes()
+                assert 0 < np.isnan(expected).sum() < expected.size
+
+
+@pytest.mark.native
+@pytest.mark.full
+def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypatch):
+    class Counting(FileSource):
+        n_bytes = 0
+
+        def read(self, offset, length):
+            self.n_bytes += length
+            return super().read(offset, length)
+
+        def read_spans(self, spans):
+            self.n_bytes += sum(length for _, length in spans)
+            return super().read_spans(spans)
+
+    path = tmp_path / "a.twz"
+    path.write_bytes(twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="rapid", block=32))
+    decoded = []
+    unit = TreeDecoder.unit
+    monkeypatch.setattr(
+        TreeDecoder, "unit", lambda *arguments: decoded.append(arguments[1]) or unit(*arguments)
+    )
+    for is_native in (False, True):
+        source = Counting(path)
+        with terrainwave.open(source, native=is_native, cache_bytes=0) as terrain:
+            terrain.heights_at(*points_of(terrain, 5000, 8))
+        if is_native:
+            # Both readers open the file by its first 16 KiB.
+            assert source.n_bytes <= path.stat().st_size + (2 << 14)
+        else:
+            finest = [key for key in decoded if key.level == terrain.n_levels - 2]
+            assert len(finest) == len(set(finest)) > 10
+
+
 # ---- Damage ----
 
 
@@ -279,7 +347,7 @@ def test_children_of_a_fork_read_on(with_library, alone):
 
 @pytest.mark.native
 @pytest.mark.full
-def test_a_first_read_imports_no_compiler(site):
+def test_a_first_read_imports_no_compiler(library):
     code = (
         "import sys, terrainwave\n"
         "with terrainwave.open(sys.argv[1]) as terrain:\n"
@@ -292,8 +360,7 @@ def test_a_first_read_imports_no_compiler(site):
     for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
         run = subprocess.run(
             [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-int16-lossless.twz"],
-            env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{site}",
-                 native_library.SWITCH: switch},
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), native_library.SWITCH: switch},
             capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert run.stdout.strip() == imported
@@ -346,55 +413,36 @@ def warned_once():
 
 
 @pytest.mark.native
-@pytest.mark.full
-def test_another_interface_or_older_format_is_refused_with_one_note(with_library, monkeypatch):
-    built = native_library.ABI
-    monkeypatch.setattr(native_library, "ABI", built + 1)
-    assert f"interface of version {built}, expected version {built + 1}" in warned_once()
-    monkeypatch.undo()
-    forget_library()
-    monkeypatch.setattr(native, "KNOWN_FEATURES", native.KNOWN_FEATURES | 1 << 20)
-    assert "does not know features 0x100000 of the format" in warned_once()
-
-
-def fake_package(folder, library):
-    """Write a package terrainwave_native whose library has these bytes; None: it names no file."""
-    package = folder / native_library.PACKAGE
-    package.mkdir()
-    (package / "lib.so").write_bytes(library)
-    (package / "__init__.py").write_text(
-        "from pathlib import Path\nLIBRARY = Path(__file__).with_name('lib.so')\n"
-    )
+def test_a_library_of_other_sources_is_told_once_and_not_used(with_library, monkeypatch):
+    built = native_sources.digest_of(ROOT)
+    monkeypatch.setattr(native_sources, "digest_of", lambda root: "0123456789abcdef")
+    note = warned_once()
+    assert f"(found digest {built}, expected 0123456789abcdef)" in note
+    assert note.endswith(f"to build it again: pip install --editable {ROOT}")
 
 
 def test_what_cannot_be_loaded_is_told_once_and_not_used(tmp_path):
-    fake_package(tmp_path, b"no library")
-    with found_at(tmp_path):
-        assert re.search(r"cannot be loaded \(.*\): terrainwave codes by itself", warned_once())
+    (tmp_path / "lib.so").write_bytes(b"no library")
+    with found_at(tmp_path / "lib.so"):
+        note = warned_once()
+    assert re.search(r"lib\.so cannot be loaded \(.*\); to replace it: pip install ", note)
 
 
 @pytest.mark.native
 @pytest.mark.full
 def test_another_library_is_told_once_and_not_used(tmp_path):
-    source = tmp_path / "other.c"
+    source, made = tmp_path / "other.c", tmp_path / "other.so"
     source.write_text("int other(void) { return 1; }\n")
-    made = tmp_path / "other.so"
     subprocess.run(["cc", "-shared", "-fPIC", "-o", made, source], check=True)
-    fake_package(tmp_path, made.read_bytes())
-    with found_at(tmp_path):
-        assert "twz_python_abi" in warned_once()
+    with found_at(made):
+        assert "twz_python_sources" in warned_once()
 
 
-def test_without_the_package_nothing_is_said(tmp_path):
+def test_without_a_library_nothing_is_said(tmp_path):
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    with found_at(None), terrainwave.open(data) as terrain:
+    with found_at(tmp_path / "none.so"), terrainwave.open(data) as terrain:
         assert native.installed() is None
         assert np.array_equal(terrain.read(), HEIGHTS)
-
-
-def test_interfaces_of_versions_agree():
-    shim = (PROJECT / "shim.c").read_text()
-    assert int(re.search(r"PYTHON_ABI = (\d+)", shim)[1]) == native_library.ABI
 
 
 def test_is_native_says_whether_the_library_reads(monkeypatch, tmp_path):

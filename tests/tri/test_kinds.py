@@ -188,10 +188,11 @@ def test_commands_make_check_and_write_meshes(kind, tmp_path):
     path = write_case(case, tmp_path)
     original = str(tmp_path / "case.tif")
     made, later = tmp_path / "made.twz", tmp_path / "later.twz"
-    run = CliRunner().invoke
+    run, name, _, labels = CliRunner().invoke, *kind.partition("-")
+    mesh = ["--mesh", name, *(["-o", f"labels={labels}"] if labels else [])]
     for arguments in (
-        ["compress", original, str(made), "--max-error", "2", "--block", "32", "--mesh", kind],
-        ["mesh", "--store", str(path), str(later), "--mesh", kind, "--original", original],
+        ["compress", original, str(made), "--max-error", "2", "--block", "32", *mesh],
+        ["mesh", "--store", str(path), str(later), *mesh, "--original", original],
         ["verify", "--mesh", str(made), original],
         ["verify", "--mesh", str(later), original],
     ):

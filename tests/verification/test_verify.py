@@ -48,6 +48,8 @@ class FakeTerrain:
             "method": "rapid",
             "earlier": (),
             "coordinate_epoch": None,
+            "minimum": None,
+            "maximum": None,
         }
         self._info = SimpleNamespace(**(fields | changes))
 
@@ -56,7 +58,8 @@ class FakeTerrain:
 
     @property
     def raster_info(self):
-        return SimpleNamespace(heights_are=None, told=Told(), crs=self.crs)
+        own_kind = None, Told(), self.crs
+        return SimpleNamespace(crs=self.crs, own_kind=lambda *_, is_asked: own_kind)
 
     @property
     def transform(self):

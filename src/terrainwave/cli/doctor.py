@@ -1,4 +1,4 @@
-"""Check of the system's GDAL for `terrainwave doctor`: whether it reads .twz files, and advice."""
+"""Check of the native library and of the system's GDAL for `terrainwave doctor`, and advice."""
 
 import os
 import shutil
@@ -6,6 +6,12 @@ import subprocess
 from dataclasses import dataclass
 
 from terrainwave._version import __version__
+from terrainwave.coding.native_library import (
+    SWITCH,
+    MissingLibraryError,
+    find_library,
+    is_wanted,
+)
 
 _COMMAND = "gdalinfo"
 _DRIVER = "TWZ"
@@ -23,6 +29,10 @@ class Diagnosis:
     ----------
     terrainwave : str
         Version of this package.
+    native : str or None
+        Path of the native library; None if it is missing or not used.
+    native_advice : str
+        Why it is not used; empty if it is.
     command : str or None
         Path of GDAL's command; None if it is not on the PATH.
     gdal : str or None
@@ -38,6 +48,8 @@ class Diagnosis:
     """
 
     terrainwave: str
+    native: str | None
+    native_advice: str
     command: str | None
     gdal: str | None
     reads_twz: bool
@@ -47,6 +59,13 @@ class Diagnosis:
 
     def lines(self) -> list[str]:
         lines = [f"terrainwave {self.terrainwave}"]
+        if self.native:
+            lines.append(f"the native library is used ({self.native})")
+        else:
+            lines.append(
+                "the native library is not used: the same files and heights, but compiled when"
+                f" first needed; {self.native_advice}"
+            )
         if self.gdal:
             knows = "reads .twz files" if self.reads_twz else "does not read .twz files"
             lines.append(f"GDAL {self.gdal} ({self.command}) {knows}")
@@ -63,12 +82,15 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Check the GDAL whose commands are on the PATH, and rasterio."""
+    """Check the native library, the GDAL whose commands are on the PATH, and rasterio."""
+    native, native_advice = _check_native()
     command = shutil.which(_COMMAND)
     version, problems, has_driver = _ask(command) if command else (None, [], False)
     of_rasterio, rasterio_has_driver = _ask_rasterio()
     return Diagnosis(
         terrainwave=__version__,
+        native=native,
+        native_advice=native_advice,
         command=command,
         gdal=version,
         reads_twz=has_driver,
@@ -76,6 +98,16 @@ def diagnose() -> Diagnosis:
         rasterio=of_rasterio,
         rasterio_reads_twz=rasterio_has_driver,
     )
+
+
+def _check_native() -> tuple[str | None, str]:
+    """Return the path of the native library if it is used, else None and the reason."""
+    if not is_wanted():
+        return None, f"{SWITCH} is 0 in the environment"
+    try:
+        return find_library().path, ""
+    except (MissingLibraryError, OSError) as error:
+        return None, str(error)
 
 
 def _ask(command: str) -> tuple[str | None, list[str], bool]:

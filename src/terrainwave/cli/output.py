@@ -45,6 +45,8 @@ def print_error(message: object, error: BaseException | None = None) -> None:
 
 
 _printed_notes: dict[str, None] = {}  # in order
+# Fields of results that are lists of the package's sentences.
+_SENTENCES = ("notes", "problems")
 
 
 def print_note(message: object) -> None:
@@ -58,7 +60,7 @@ def print_note(message: object) -> None:
 def print_notes(notes: Iterable[str]) -> None:
     """Print notes of the package in terms of the command line."""
     for note in notes:
-        print_note(message_of(TerrainwaveWarning(note)))
+        print_note(in_options(note))
 
 
 @contextmanager
@@ -119,6 +121,11 @@ def _option(argument: str) -> str:
 def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
     """Return the message of an error or a warning in terms of the command line."""
     return plain(error.message_with(_option))
+
+
+def in_options(sentence: str) -> str:
+    """Return a note or a problem of the package in terms of the command line."""
+    return message_of(TerrainwaveWarning(sentence))
 
 
 class Command(click.Command):
@@ -421,16 +428,25 @@ def print_grid(header: list[str], rows: list[list[str]]) -> None:
 def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
     """Print a result as JSON, with the notes that were printed, as they tell what was left out."""
     if with_notes:
-        own = fields.get("notes", [])
-        known = {message_of(TerrainwaveWarning(note)) for note in own}
-        fields = fields | {"notes": [*own, *(note for note in _printed_notes if note not in known)]}
-    click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
+        own = [in_options(note) for note in fields.get("notes", [])]
+        fields = fields | {"notes": [*dict.fromkeys((*own, *_printed_notes))]}
+    click.echo(json.dumps(_in_options(fields), indent=2, allow_nan=False))
 
 
 def print_json_line(fields: dict[str, Any]) -> None:
     """Print one of several results as a line of JSON, flushed."""
-    click.echo(json.dumps(plain_json(fields), allow_nan=False))
+    click.echo(json.dumps(_in_options(fields), allow_nan=False))
     sys.stdout.flush()
+
+
+def _in_options(fields: dict[str, Any]) -> Any:
+    """Return a result for JSON, its sentences in terms of the command line."""
+    told = {
+        name: [in_options(sentence) for sentence in value]
+        for name, value in fields.items()
+        if name in _SENTENCES and value
+    }
+    return plain_json(fields | told)
 
 
 def plain_json(value: Any) -> Any:

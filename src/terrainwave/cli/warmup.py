@@ -6,7 +6,8 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
+from terrainwave.coding.native_library import SWITCH
 from terrainwave.container.targets.publication import system_scratch
 from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
@@ -55,7 +57,7 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     if place.kept_in is None:
         raise StorageError(f"no kernel was kept: {place.reason}")
     left_out = []
-    with system_scratch() as folder, warnings.catch_warnings(), all_compiled():
+    with system_scratch() as folder, warnings.catch_warnings(), all_compiled(), _without_library():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         _compress(folder)
         for task in tasks or TASKS:
@@ -69,6 +71,19 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
             f"{n_lost} of {n_kept + n_lost} kernels that were compiled are not kept: {reason}"
         )
     return left_out
+
+
+@contextmanager
+def _without_library() -> Iterator[None]:
+    """Let kernels do what the native library does, too: it leaves some work to some of them."""
+    before = os.environ.get(SWITCH)
+    os.environ[SWITCH] = "0"
+    try:
+        yield
+    finally:
+        del os.environ[SWITCH]
+        if before is not None:
+            os.environ[SWITCH] = before
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:

@@ -79,7 +79,7 @@ def padded(data: bytes) -> NDArray[np.uint8]:
 
 
 class Owned:
-    """What the library has allocated, freed with this object.
+    """Memory that the library has allocated, freed with this object.
 
     Raises
     ------

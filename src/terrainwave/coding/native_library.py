@@ -1,4 +1,4 @@
-"""The native library, where the package terrainwave-native is installed, and what it does instead.
+"""The native library, where the package has one, and what it does instead of numba.
 
 Units are encoded, and heights read, by C where the library is there, else by kernels that numba
 compiles: bytes and heights are the same. `also_in_c` is the one place that chooses an encoder.
@@ -12,11 +12,10 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, TypeVar, cast
 
+from terrainwave import native_sources
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 
-PACKAGE = "terrainwave_native"
 SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
-ABI = 5  # PYTHON_ABI of native/python/shim.c
 
 OK, CORRUPT, NO_MEMORY = 0, 1, 4  # of twz_status
 
@@ -42,6 +41,10 @@ class NativeError(Exception):
         self.is_memory = error.status == NO_MEMORY
 
 
+class MissingLibraryError(Exception):
+    """The package has no library; the message says why."""
+
+
 class NativeLibrary:
     """A shared library. Functions that return a status are declared first; they raise.
 
@@ -57,7 +60,7 @@ class NativeLibrary:
         self.path = path
         self._library = ctypes.CDLL(path)  # lets other threads run during each call
         self._functions: dict[str, Callable[..., int]] = {}
-        self.abi: int = self.plain("twz_python_abi", ctypes.c_int)()
+        self.digest: str = self.plain("twz_python_sources", ctypes.c_char_p)().decode("ascii")
 
     def plain(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
         """Return a function of the library."""
@@ -85,38 +88,55 @@ class NativeLibrary:
         return made.value
 
 
+def find_library() -> NativeLibrary:
+    """Load the package's library.
+
+    Raises
+    ------
+    MissingLibraryError
+        If the package has none.
+    OSError
+        If it cannot be loaded, or is built of other sources; the message says what to do.
+    """
+    path, root = native_sources.LIBRARY, native_sources.clone()
+    remedy = (
+        f"pip install --editable {root}" if root else "pip install --force-reinstall terrainwave"
+    )
+    if not path.exists():
+        reason = native_sources.read_note().get("missing", "nothing has built it so far")
+        if root:
+            reason += f"; with a C compiler installed: {remedy}"
+        raise MissingLibraryError(f"found no library in the package: {reason}")
+    try:
+        library = NativeLibrary(str(path))
+    except (OSError, AttributeError) as error:
+        raise OSError(f"{path} cannot be loaded ({error}); to replace it: {remedy}") from None
+    expected = native_sources.expected_digest()
+    if library.digest != expected:
+        raise OSError(
+            f"{path} is built of other sources (found digest {library.digest}, expected"
+            f" {expected}); to build it again: {remedy}"
+        )
+    return library
+
+
 @cache
 def loaded() -> NativeLibrary | None:
-    """Return the library of the package terrainwave-native; None where there is none that fits.
+    """Return the package's library; None without one that fits.
 
     A library that does not fit is reported by one warning.
     """
     try:
-        path = str(importlib.import_module(PACKAGE).LIBRARY)
-    except ImportError:
+        return find_library()
+    except MissingLibraryError:
         return None
-    try:
-        library = NativeLibrary(path)
-    except (OSError, AttributeError) as error:
-        warn_unused(f"the library of terrainwave-native cannot be loaded ({error})")
-        return None
-    if library.abi != ABI:
-        warn_unused(
-            f"terrainwave-native has an interface of version {library.abi}, expected version {ABI}"
+    except OSError as error:
+        warnings.warn(
+            f"the native library is not used, with the same results: {error}",
+            TerrainwaveWarning,
+            stacklevel=3,
         )
         return None
-    return library
-
-
-def warn_unused(found: str) -> None:
-    """Warn that the library is there and is not used."""
-    warnings.warn(
-        f"{found}: terrainwave codes by itself, at the same heights. Install the terrainwave"
-        " and terrainwave-native of one release, or set TERRAINWAVE_NATIVE=0: pip install -U"
-        ' "terrainwave[native]"',
-        TerrainwaveWarning,
-        stacklevel=4,
-    )
 
 
 def is_wanted() -> bool:

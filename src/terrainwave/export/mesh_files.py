@@ -4,6 +4,7 @@ import logging
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -292,35 +293,95 @@ def mesh_for_file(
     Raises
     ------
     InvalidArgumentError
-        If the curvature of the globe exceeds the error.
+        If the curvature of the globe exceeds the error. The message names one that a mesh keeps to,
+        as has been tried; half of it is too small, or no more than was asked for.
     InvalidHeightsError
         If the mesh has no position in the frame.
     """
     shape = Shape(**options)
     is_on_globe = shape.is_on_globe(check_extension(path))
-    left = max(max_error - of_heights, 0.0) if is_on_globe else 0.0
+
+    def try_error(error: float) -> tuple[Made, bool]:
+        rounding_of = partial(file_rounding, path=path, **options)
+        return _fitted(make, rounding_of, error, of_heights, shape if is_on_globe else None)
+
+    try:
+        return try_error(max_error)
+    except _TooSmall as found:
+        smallest = found.expected
+    # What is named is tried. Closer meshes may be steeper, and take more than others.
+    is_taken = False
+    while smallest < np.inf:
+        tried = smallest / 2 if is_taken else smallest
+        if tried <= max_error:
+            break
+        try:
+            try_error(tried)
+        except _TooSmall as found:
+            if is_taken:
+                break
+            smallest = max(found.expected, _ROUNDING_SLACK * smallest)
+        else:
+            smallest, is_taken = tried, True
+    raise InvalidArgumentError(
+        f"found `max_error` {max_error:g}, expected at least {smallest:.9g} on a globe: flat"
+        " triangles lie below its curved surface, and a smaller error would take too many of them"
+    )
+
+
+class _TooSmall(Exception):
+    """The globe takes more of an error than the heights leave; `expected` is enough, probably."""
+
+    def __init__(self, expected: float) -> None:
+        # The message names it with as many digits.
+        self.expected = float(f"{expected:.9g}")
+
+
+def _fitted(
+    make: Callable[[float], Made],
+    rounding_of: Callable[[Made], float],
+    max_error: float,
+    of_heights: float,
+    globe: Shape | None,
+) -> tuple[Made, bool]:
+    """Return the mesh of `mesh_for_file`; raise `_TooSmall` instead of a refusal.
+
+    Parameters
+    ----------
+    rounding_of : callable
+        Returns what the file adds to a mesh's error.
+    globe : Shape, optional
+        None for a mesh that is not on a globe.
+    """
+    left = 0.0 if globe is None else max(max_error - of_heights, 0.0)
     share = CURVATURE_SHARE * left
     try:
         first = make(max_error - share)
-        if is_on_globe and (wanted := _share_of_cells(first, shape)) > share < left / 2:
+        if globe is not None and (wanted := _share_of_cells(first, globe)) > share < left / 2:
             # Dividing all cells takes more triangles than a mesh closer to the heights.
             share = min(wanted, left / 2)
             first = make(max_error - share)
     except InvalidHeightsError:
         # A coarse level's heights take more; if too much, this raises again.
         first = make(max_error)
-        share = max(max_error - first.error, 0.0)
-    if is_on_globe and not share:
-        _refuse_small_share(first, share, shape, max_error)
-    surface, is_bent, before = first, is_on_globe, np.inf
-    for n_left in range(_TRIES + _HALVINGS, 0, -1):
-        if is_on_globe:
+        left = share = max(max_error - first.error, 0.0)
+    if globe is not None and not share:
+        share = least_share(first, _way(first, globe))
+    surface, is_bent, before, n_tries = first, globe is not None, np.inf, 0
+    for _ in range(_TRIES + _HALVINGS):
+        if globe is not None:
             surface = _with_share(surface, share)
-        rounding = file_rounding(surface, path, **options)
+        rounding = rounding_of(surface)
         if surface.error + rounding <= max_error:
             return surface, True
         is_bent &= rounding < _LESS * before
-        if not is_bent and n_left <= _HALVINGS + 1:
+        if globe is not None and share <= least_share(surface, _way(surface, globe)):
+            # Edges are halved as often as they may be.
+            if rounding > left:
+                raise _TooSmall(max_error - left + _ROUNDING_SLACK * rounding)
+            is_bent = False
+        n_tries += not is_bent
+        if n_tries == _TRIES:
             break
         before = rounding
         if is_bent:
@@ -331,8 +392,9 @@ def mesh_for_file(
         except InvalidHeightsError:
             if not is_bent:
                 break
-    if is_on_globe:
-        _refuse_small_share(surface, share, shape, max_error)
+    if globe is not None:
+        if share <= least_share(surface, _way(surface, globe)):
+            raise _TooSmall(max_error + before / 4)
         first = _with_share(first, share)
     return first, False
 
@@ -350,18 +412,6 @@ def _with_share(mesh: Made, share: float) -> Made:
     known: CurvatureShare = mesh.attributes.get("curvature", CurvatureShare(share))
     curvature = known._replace(error=share)
     return replace(mesh, attributes=mesh.attributes | {"curvature": curvature})
-
-
-def _refuse_small_share(mesh: MeshData, share: float, shape: Shape, max_error: float) -> None:
-    """Raise `InvalidArgumentError` if an error leaves too little for the curvature."""
-    least = least_share(mesh, _way(mesh, shape))
-    if share < least:
-        smallest = max_error + _ROUNDING_SLACK * (least - share) / CURVATURE_SHARE
-        raise InvalidArgumentError(
-            f"found `max_error` {max_error:g}, expected at least {smallest:.9g} on a globe: flat"
-            " triangles lie below its curved surface, and a smaller error would take too many of"
-            " them"
-        )
 
 
 def note_on_rounding(max_error: float) -> str:

@@ -59,8 +59,8 @@ class TerrainFile(DescribedFile):
     threads : int, optional
         Threads that decode; the number of processors by default.
     native : bool
-        Read heights with the native library if the package terrainwave-native is installed. The
-        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
+        Read heights with the native library if the package has one. The heights are the same.
+        ``TERRAINWAVE_NATIVE=0`` in the environment turns it off everywhere.
     on_error : str
         Default behaviour of reads on damage: ``"raise"``, or ``"mask"``, which leaves damaged
         blocks void and lists them in `lost`. A file that ends too early opens only with ``"mask"``,
@@ -352,25 +352,57 @@ class TerrainFile(DescribedFile):
         if turn is not None:
             places = turn.near(places, self.bounds)
         rows, cols = to_samples(places, self.level_place(index).transform)
-        heights = self._heights_at(index, rows, cols, voids)
+        is_round = turn is not None and turn.is_whole(self._raster.transform, self.shape[1])
+        return self.heights_at(rows, cols, level=index, voids=voids, is_round=is_round)
+
+    def heights_at(
+        self,
+        rows: NDArray[np.float64],
+        cols: NDArray[np.float64],
+        *,
+        level: int = -1,
+        voids: str = EXACT,
+        is_round: bool = False,
+    ) -> NDArray[np.float64]:
+        """Return bilinear heights at fractional rows and columns of a level, in physical units.
+
+        Parameters
+        ----------
+        rows, cols : ndarray of float64, shape (n_points,)
+            Sample (r, c) of the level lies at r, c.
+        level, voids
+            As in `read`.
+        is_round : bool
+            The first column follows the last.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_points,)
+            NaN outside the outermost samples and where a sample needed is void.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If the level does not exist.
+        CorruptStreamError
+            If a block is damaged.
+        """
+        index = self.level_index(level)
+        heights = self._heights_inside(index, rows, cols, voids)
         last = self.grid.level_shape(index)[1] - 1
         beyond = np.isfinite(cols) & ((cols < 0) | (cols > last))
-        if (
-            turn is not None
-            and beyond.any()
-            and turn.is_whole(self._raster.transform, self.shape[1])
-        ):
+        if is_round and beyond.any():
             # Between the last column and the first one of the next turn.
             n_around = self.shape[1] / self.grid.stride(index)
             across = np.mod(cols[beyond] - last, n_around) / (n_around - last)
-            ends = [
-                self._heights_at(index, rows[beyond], np.full(across.shape, column), voids)
-                for column in (float(last), 0.0)
-            ]
-            heights[beyond] = ends[0] * (1 - across) + ends[1] * across
+            columns = np.repeat([float(last), 0.0], across.size)
+            left, right = self._heights_inside(
+                index, np.tile(rows[beyond], 2), columns, voids
+            ).reshape(2, -1)
+            heights[beyond] = left * (1 - across) + right * across
         return heights
 
-    def _heights_at(
+    def _heights_inside(
         self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str
     ) -> NDArray[np.float64]:
         """Return bilinear heights at fractional samples; NaN outside the grid and in voids."""

@@ -295,6 +295,18 @@ class Globe:
         heights[inside] = total if is_void is None else np.where(is_void, np.nan, total)
         return heights, window
 
+    def sample(self, lon: Numbers, lat: Numbers) -> Numbers:
+        """Return bilinear heights of the full grid at places in degrees.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_places,)
+            Metres; NaN outside the raster's pixels and where a sample needed is void.
+        """
+        rows, cols = self.to_samples(lon, lat)
+        heights = self.terrain.heights_at(rows, cols, is_round=self.is_whole_turn)
+        return self._above(heights * self.metres, rows, cols)
+
     def _above(self, metres: Numbers, rows: Numbers, cols: Numbers) -> Numbers:
         """Return heights in metres at samples; for radii, their excess over the body.
 

@@ -4,7 +4,7 @@
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from terrainwave.arguments import shown
@@ -45,7 +45,7 @@ class Told(NamedTuple):
 
     Parameters
     ----------
-    kind : {"height", "depth"} or None
+    kind : {"height", "depth", "radius"} or None
         ``height`` only if that contradicts the CRS's vertical axis.
     by : str
         The source of this meaning, in few words.
@@ -168,13 +168,77 @@ def settled_kind(
         )
     if told.kind is not None:
         return Settled(told.kind, told.note)
-    body = describe_quietly(crs_text)
-    radius = 0.0 if body is None else body.radius or 0.0
-    if radius > _LEAST_BODY and all(abs(end - radius) <= _RADIUS_SHARE * radius for end in metres):
+    radius = _radius_of_body(crs_text)
+    if are_radii(crs_text, [metres]):
         return Settled(
             RADIUS,
             f"its numbers are near the radius of the body, {radius:,.10g} m, and taken for radii,"
             " stored as they are; on the globe, in meshes and views heights are what they have"
             " beyond it (choose with `heights_are`)",
         )
+    if any(_is_near(end, radius) for end in metres):
+        return Settled(
+            None,
+            f"only some of its numbers are near the radius of the body, {radius:,.10g} m: all are"
+            " taken for heights; if the others mark voids, declare them with `nodata` (or choose"
+            " with `heights_are`)",
+        )
     return Settled(None)
+
+
+def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bool | None:
+    """Return whether all numbers are near the radius of the CRS's body; None without any.
+
+    Parameters
+    ----------
+    crs_text : str, optional
+    metres : iterable of (low, high)
+        Of parts of the raster; read up to the first part with other numbers.
+    """
+    radius, found = _radius_of_body(crs_text), None
+    if not radius:
+        return False
+    for ends in metres:
+        found = all(_is_near(end, radius) for end in ends)
+        if not found:
+            break
+    return found
+
+
+def by_numbers(
+    told: Told, crs_text: str | None, metres: Iterable[tuple[float, float]]
+) -> Told | None:
+    """Return the meaning of a raster's numbers, told or else by all of them; None without any.
+
+    Parameters
+    ----------
+    told : Told
+    crs_text : str, optional
+    metres : iterable of (low, high)
+        As in `are_radii`.
+    """
+    if told.kind is not None:
+        return told
+    found = are_radii(crs_text, metres)
+    if found is None:
+        return None
+    return Told(RADIUS, "near the radius of the body") if found else told
+
+
+def may_have_radii(crs_text: str | None, metres: tuple[float, float]) -> bool:
+    """Return whether a number between two ends can be near the radius of the CRS's body."""
+    radius = _radius_of_body(crs_text)
+    low, high = metres
+    share = _RADIUS_SHARE * radius
+    return radius > 0 and low <= radius + share and high >= radius - share
+
+
+def _is_near(metres: float, radius: float) -> bool:
+    return radius > 0 and abs(metres - radius) <= _RADIUS_SHARE * radius
+
+
+def _radius_of_body(crs_text: str | None) -> float:
+    """Return the radius of the CRS's body in metres; 0 for small bodies, and without a CRS."""
+    body = describe_quietly(crs_text)
+    radius = 0.0 if body is None else body.radius or 0.0
+    return radius if radius > _LEAST_BODY else 0.0

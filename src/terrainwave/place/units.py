@@ -1,5 +1,6 @@
 """Vertical units: their names, their origin, and their metres."""
 
+import math
 import re
 import warnings
 from typing import NamedTuple
@@ -160,16 +161,16 @@ def kind_name(heights_are: str | None, crs_text: str | None) -> str:
 def kind_problem(
     own: tuple[str | None, Told, str | None], other: tuple[Told, str | None]
 ) -> str | None:
-    """Return the problem if a raster has depths and a file heights, or the other way round.
+    """Return the problem if a raster and a file have two of heights, depths and radii.
 
-    None if the file's meaning is not that of its own tags: its maker chose it. A name that
-    was not trusted then only counts against other names.
+    None if the file's meaning is not that of its own tags and numbers: its maker chose it. A name
+    that was not trusted then only counts against other names.
 
     Parameters
     ----------
-    own : (heights_are, kind by its tags, CRS)
+    own : (heights_are, kind by its tags or numbers, CRS)
         Of the file.
-    other : (kind by its tags, CRS)
+    other : (kind by its tags or numbers, CRS)
         Of the raster.
     """
     heights_are, told, crs_text = own
@@ -177,10 +178,24 @@ def kind_problem(
     kinds = [kind_name(heights_are, crs_text)]
     if other[0].is_name or not told.is_name:
         kinds.append(kind_name(told.kind, crs_text))
-    if any((kind == PLURALS[DEPTH]) == (found == PLURALS[DEPTH]) for kind in kinds):
+    if found in kinds:
         return None
     by = f" ({other[0].by})" if other[0].kind else ""
     return f"found {found}{by}, the file has {kinds[0]}"
+
+
+def in_metres(
+    ends: tuple[float, float], scale: float, offset: float, units: str | None, crs_text: str | None
+) -> tuple[float, float]:
+    """Return the lowest and the highest stored number in metres, with their original sign.
+
+    NaN if the band's unit is not a length.
+    """
+    unit = math.nan
+    if is_length(units):
+        unit = abs(height_unit(units, crs_text).metres)
+    low, high = sorted((end * scale + offset) * unit for end in ends)
+    return low, high
 
 
 class Meeting(NamedTuple):

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import product
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,13 @@ from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
 from terrainwave.place.description import added_vertical
-from terrainwave.place.meaning import Told
+from terrainwave.place.meaning import RADIUS, Told
 from terrainwave.place.position import longitude_turn
 from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Composite, Even, samples_in
+from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
 
@@ -103,6 +104,7 @@ class _Member(NamedTuple):
     undeclared: tuple[int | float, ...]
     has_mask: bool
     even: Even | None
+    told: Told
 
 
 class _Description(NamedTuple):
@@ -167,8 +169,8 @@ class MosaicBackend:
     ------
     InvalidHeightsError
         If several have no georeference, or they differ in CRS, resolution, type, scale, offset or
-        units, or in depths and heights, or their pixels don't lie on one grid; the message names
-        the raster and says what to do.
+        units, or by their metadata in depths and heights, or their pixels don't lie on one grid;
+        the message names the raster and says what to do.
     StorageError
         If one cannot be opened.
 
@@ -189,6 +191,15 @@ class MosaicBackend:
     ) -> None:
         self._open_member = open_member
         self._open: Cache[str, RasterBackend] = Cache(_MAX_OPEN, drop=lambda one: one.close())
+        try:
+            self._put_together(sources, nodata, heights_are)
+        except BaseException:
+            self.close()
+            raise
+
+    def _put_together(
+        self, sources: Sequence[Any], nodata: NodataChoice, heights_are: str | None
+    ) -> None:
         rasters = [self._describe(source) for source in sources]
         first = rasters[0]
         lost = [one for one in rasters if one.is_lost]
@@ -206,6 +217,7 @@ class MosaicBackend:
             if heights_are is None:
                 _check_kind(first, other)
         self.told = first.told
+        self.is_told = any(one.told.kind for one in rasters)
         self.name = f"{first.name} and {len(rasters) - 1} more"
         self.dtype = first.dtype
         places = [_place(first, other) for other in rasters]
@@ -228,6 +240,7 @@ class MosaicBackend:
                 one.undeclared,
                 one.has_mask,
                 one.even,
+                one.told,
             )
             for source, one, (row, col) in zip(sources, rasters, places)
         ]
@@ -415,6 +428,21 @@ class MosaicBackend:
                 )
         return heights, valid
 
+    def parts(
+        self, max_samples: int
+    ) -> Iterator[tuple[str, Told, Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]]]:
+        """Yield the name of each raster, its own meaning, and its windows as `read` gives them."""
+        for member in self._members:
+            row, col, n_rows, n_cols = member.region
+            yield (
+                member.name,
+                member.told,
+                (
+                    self._read_member(member, part._replace(row=row + part.row, col=col + part.col))
+                    for part in scan_windows(n_rows, n_cols, *self.block_shape, max_samples)
+                ),
+            )
+
     def close(self) -> None:
         self._open.clear()
 
@@ -480,16 +508,43 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
 
 def _check_kind(first: _Description, other: _Description) -> None:
     """Raise InvalidHeightsError if one raster has depths and the other heights."""
-    kinds = [kind_name(one.told.kind, format_crs(one.crs)) for one in (first, other)]
+    crs_text = format_crs(first.crs)
+    kinds = [kind_name(one.told.kind, crs_text) for one in (first, other)]
     if (kinds[0] == "depths") != (kinds[1] == "depths"):
-        own, found = (
-            f"{kind} ({one.told.by})" if one.told.kind else kind
-            for kind, one in zip(kinds, (first, other))
+        _refuse_kinds([(one.name, one.told) for one in (first, other)], crs_text)
+
+
+def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None:
+    """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii.
+
+    Parameters
+    ----------
+    found : iterable of (name, Told)
+        By their metadata, else by their numbers.
+    crs_text : str, optional
+    """
+    pairs = list(found)
+    for pair in pairs:
+        if (pair[1].kind == RADIUS) != (pairs[0][1].kind == RADIUS):
+            _refuse_kinds([pairs[0], pair], crs_text)
+
+
+def _refuse_kinds(pair: Sequence[tuple[str, Told]], crs_text: str | None) -> NoReturn:
+    """Raise InvalidHeightsError for two rasters whose numbers mean something else."""
+    (first, own), (other, found) = (
+        (name, kind_name(told.kind, crs_text) + (f" ({told.by})" if told.kind else ""))
+        for name, told in pair
+    )
+    cure = "turn the others first, for example gdal_calc --calc=-A,"
+    if any(told.kind == RADIUS for _, told in pair):
+        cure = (
+            "bring them to one first, for example gdal_calc --calc=A-R with the body's radius R,"
+            " declare numbers that mark voids by `nodata`,"
         )
-        raise InvalidHeightsError(
-            f"{other.name}: found {found}, {first.name} has {own}; expected one of them: turn the"
-            " others first, for example gdal_calc --calc=-A, or say what all are by `heights_are`"
-        )
+    raise InvalidHeightsError(
+        f"{other}: found {found}, {first} has {own}; expected one of them: {cure} or say what all"
+        " are by `heights_are`"
+    )
 
 
 def _units_met(others: Sequence[_Description], named: _Description) -> Meeting:

@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 from terrainwave.arguments import NodataChoice, crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.place.meaning import KINDS, Names, Told, told_by
-from terrainwave.place.units import is_length
+from terrainwave.place.meaning import (
+    KINDS,
+    RADIUS,
+    Names,
+    Told,
+    by_numbers,
+    may_have_radii,
+    told_by,
+)
+from terrainwave.place.units import in_metres, is_length
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
@@ -101,6 +109,26 @@ class RasterInfo:
         """Return the meaning of the numbers by the band's own tags and names."""
         names = Names(None, self.description, is_length(self.units))
         return told_by(dict(self.band_tags), names, self.crs)
+
+    def own_kind(
+        self, low: float | None, high: float | None, *, is_asked: bool
+    ) -> tuple[str | None, Told, str | None]:
+        """Return the file's side of `kind_problem`.
+
+        Parameters
+        ----------
+        low, high : float, optional
+            Ends of the file's range, in physical units; None without heights.
+        is_asked : bool
+            The meaning of the other numbers was asked for: tags and numbers do not count.
+        """
+        told = Told(self.heights_are)
+        if not is_asked and low is not None and high is not None:
+            metres = in_metres((low, high), 1.0, 0.0, self.units, self.crs)
+            # A file may have room for more than it holds.
+            if self.heights_are != RADIUS or not may_have_radii(self.crs, metres):
+                told = by_numbers(self.told, self.crs, [metres]) or self.told
+        return self.heights_are, told, self.crs
 
     @property
     def n_bytes(self) -> int:

@@ -4,7 +4,7 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
@@ -28,15 +28,22 @@ from terrainwave.errors import (
 )
 from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.meaning import Told, check_kind, settled_kind
-from terrainwave.place.units import height_unit, is_length
+from terrainwave.place.meaning import (
+    Told,
+    are_radii,
+    by_numbers,
+    check_kind,
+    may_have_radii,
+    settled_kind,
+)
+from terrainwave.place.units import in_metres
 from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
-from terrainwave.raster_io.mosaic import MosaicBackend
+from terrainwave.raster_io.mosaic import MosaicBackend, check_radii
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
@@ -236,29 +243,74 @@ class RasterSource:
     def with_meaning(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
         """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
 
-        Reads the raster again if only a name suggests depths and some values are below 0.
+        Reads the raster again if only a name suggests depths and some values are below 0, and the
+        rasters of a mosaic if some may have radii and others not.
 
         Parameters
         ----------
         minimum, maximum : float
             Extremes of all valid heights, as stored.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If only some rasters of a mosaic have radii.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
             return info, []
         low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
-        unit = math.nan  # not a length
-        if is_length(info.units):
-            unit = abs(height_unit(info.units, info.crs).metres)
+        metres = self._in_metres((minimum, maximum), info.crs)
+        is_mixed = may_have_radii(info.crs, metres) and not are_radii(info.crs, [metres])
+        if is_mixed or (isinstance(self._backend, MosaicBackend) and self._backend.is_told):
+            self._refuse_some_radii(info.crs)
         told = self.told or Told()
         is_unsure = told.kind is not None and told.is_name and low < 0
         kind, note = settled_kind(
             told,
             info.crs,
-            (low * unit, high * unit),
+            metres,
             is_mostly_negative=is_unsure and (high <= 0 or self._is_mostly_negative()),
         )
         return replace(info, heights_are=kind), [f"{self.name}: {note}"] if note else []
+
+    def settled(self, crs_text: str | None) -> Told | None:
+        """Return the meaning of the numbers, told or else by their values; None without any.
+
+        Reads on while all values may be radii.
+
+        Parameters
+        ----------
+        crs_text : str, optional
+            The CRS of a raster that has none.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If only some rasters of a mosaic have radii.
+        """
+        crs_text = self.info.crs or crs_text
+        if not self.is_asked:
+            self._refuse_some_radii(crs_text)
+        windows = (self.read(*region) for region in self.blocks())
+        metres = (self._in_metres(ends, crs_text) for ends in _ends(windows))
+        return by_numbers(self.told or Told(), crs_text, metres)
+
+    def _refuse_some_radii(self, crs_text: str | None) -> None:
+        """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
+        found = list[tuple[str, Told]]()
+        with self._readers.lent() as backend:
+            parts = backend.parts(_SCAN_SAMPLES) if isinstance(backend, MosaicBackend) else ()
+            for name, told, windows in parts:
+                metres = (self._in_metres(ends, crs_text) for ends in _ends(windows))
+                kind = by_numbers(told, crs_text, metres)
+                if kind is not None:
+                    found.append((name, kind))
+        check_radii(found, crs_text)
+
+    def _in_metres(self, ends: tuple[float, float], crs_text: str | None) -> tuple[float, float]:
+        info = self.info
+        return in_metres(ends, info.scale, info.offset, info.units, crs_text)
 
     def _is_mostly_negative(self) -> bool:
         n_below = n_valid = 0
@@ -435,6 +487,14 @@ class RasterSource:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _ends(windows: Iterable[tuple[np.ndarray, np.ndarray]]) -> Iterator[tuple[float, float]]:
+    """Yield the extremes of the valid heights of windows, as stored."""
+    for heights, valid in windows:
+        found = heights[valid]
+        if found.size:
+            yield float(found.min()), float(found.max())
 
 
 def _problem_of(transform: Transform) -> str:

@@ -324,14 +324,16 @@ class TreeDecoder:
         heights, mask = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=np.bool_)
         own = np.zeros(shape, dtype=np.bool_)
         rest: Remainders | None = None
-        places = sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True)))
-        for number, (row, col) in enumerate(places):
+        numbers = unit_rows * n_cols + unit_cols
+        order = np.argsort(numbers, kind="stable")
+        members = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
+        keys = [
+            Block(level - 1, int(unit_rows[here[0]]), int(unit_cols[here[0]])) for here in members
+        ]
+        for number, (key, here) in enumerate(zip(keys, members, strict=True)):
             if number % _AT_A_TIME == 0:
-                near = places[number : number + _AT_A_TIME]
-                self.prefetch([Block(level - 1, *place) for place in near])
-            key = Block(level - 1, row, col)
+                self.prefetch(keys[number : number + _AT_A_TIME])
             spec, unit = self.spec(key), self.unit(key)
-            here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
             heights[0, here], mask[0, here] = unit.heights[at], unit.mask[at]
             own[0, here] = unit.own_mask[at]

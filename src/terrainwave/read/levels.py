@@ -19,12 +19,12 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.lost import Lost
 from terrainwave.read.native import NativeError, NativeFile
-from terrainwave.read.window_reader import WindowReader, bilinear
+from terrainwave.read.window_reader import WindowReader
 
 # Raw heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
-# Raw heights and validity.
-_Samples = tuple[NDArray[Any], NDArray[np.bool_]]
+# Raw heights at points, and which involve a void.
+_Points = tuple[NDArray[np.float64], NDArray[np.bool_]]
 _Found = TypeVar("_Found")
 # Stack level of the caller of an open file's method.
 _STACK = 4
@@ -57,7 +57,6 @@ class LevelReader:
         self._decoder = decoder
         self._native = native
         self._windows = WindowReader(name, header.grid, header.quantizer, n_threads)
-        self._grid = header.grid
 
     def close(self) -> None:
         self._windows.close()
@@ -136,10 +135,11 @@ class LevelReader:
         """Return bilinear raw heights at positions inside a level, and which involve a void."""
         is_own = voids != ANY
 
-        def samples(row: NDArray[np.int64], col: NDArray[np.int64]) -> _Samples:
-            return self._either(
-                lambda native: native.samples(level, row, col, is_own=is_own),
-                lambda decoder: self._windows.samples(decoder, level, row, col, is_own=is_own),
-            )
+        def by_library(native: NativeFile) -> _Points:
+            heights, valid = native.bilinear(level, rows, cols, is_own=is_own)
+            return heights, ~valid
 
-        return bilinear(self._grid.level_shape(level), rows, cols, samples)
+        return self._either(
+            by_library,
+            lambda decoder: self._windows.bilinear(decoder, level, rows, cols, is_own=is_own),
+        )

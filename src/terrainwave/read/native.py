@@ -1,4 +1,4 @@
-"""Windows decoded by the native library, where the package terrainwave-native is installed.
+"""Windows decoded by the native library, where the package has one.
 
 It decodes the same heights as `read.decoder` does, without kernels that have to be compiled. What
 it cannot read, and what is damaged, is left to that one: it says what is wrong, in its own words.
@@ -10,21 +10,15 @@ import os
 import threading
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.native_library import (
-    NativeError,
-    NativeLibrary,
-    is_wanted,
-    loaded,
-    warn_unused,
-)
-from terrainwave.container.header import KNOWN_FEATURES, Header
+from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
+from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.forks import renew_after_fork
@@ -43,8 +37,7 @@ _MOST_FETCHED, _MOST_DECODED = 1 << 24, 1 << 22
 _MANY_THREADS = 5
 # What is kept of decoded units while a region of several parts is read: not the region itself.
 _KEPT_OF_LARGE = 48 << 20
-# Units of scattered samples whose payloads are fetched in one call.
-_AT_A_TIME = 64
+_BILINEAR = 0  # of twz_interpolation
 # Ranges that are asked for in one call.
 _MOST_RANGES = 256
 
@@ -73,6 +66,20 @@ class _Box(ctypes.Structure):
     _fields_ = [(name, ctypes.c_uint32) for name in ("row", "col", "n_rows", "n_cols")]
 
 
+class _PointsRequest(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_size_t),
+        ("level", ctypes.c_int),
+        ("interpolation", ctypes.c_int),
+        ("is_own", ctypes.c_int),
+        ("n_points", ctypes.c_size_t),
+        ("rows", ctypes.c_void_p),
+        ("cols", ctypes.c_void_p),
+        ("heights", ctypes.c_void_p),
+        ("valid", ctypes.c_void_p),
+    ]
+
+
 _POINTER, _SIZE, _STRIDE = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_ssize_t
 _HANDLE = ctypes.POINTER(ctypes.c_void_p)
 _N = ctypes.POINTER(ctypes.c_size_t)
@@ -89,29 +96,27 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "twz_window_decode_into": (_POINTER, _POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read": (_POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
     "twz_window_read_own": (_POINTER, _POINTER, _STRIDE),
+    "twz_points_new": (_POINTER, ctypes.POINTER(_PointsRequest), _HANDLE),
+    "twz_points_need": (_POINTER, _RANGES, _SIZE, _N),
+    "twz_points_feed": (_POINTER, ctypes.c_uint64, ctypes.c_char_p, _SIZE),
+    "twz_points_decode": (_POINTER, _POINTER, _N),
     "twz_pool_new": (_SIZE, _HANDLE),
 }
 
 
 class Library:
-    """The functions of the library that read; those that can fail raise.
-
-    Raises
-    ------
-    AttributeError
-        If a function is missing.
-    """
+    """The functions of the library that read; those that can fail raise."""
 
     def __init__(self, native: NativeLibrary) -> None:
-        self.path, self.call, self.make = native.path, native.call, native.make
+        self.call, self.make = native.call, native.make
         native.declare(_SIGNATURES)
-        self.features: int = native.plain("twz_python_features", ctypes.c_uint32)()
         self.free_window = native.plain("twz_window_free", None, _POINTER)
+        self.free_points = native.plain("twz_points_free", None, _POINTER)
         self.free_file = native.plain("twz_file_free", None, _POINTER)
         self.free_pool = native.plain("twz_pool_free", None, _POINTER)
         self.workers_of = native.plain("twz_pool_workers", _POINTER, _POINTER)
         self.new_locks = native.plain("twz_python_locks_new", _POINTER)
-        self.limit_cache = native.plain("twz_python_limit_cache", None, _POINTER, ctypes.c_uint64)
+        self.limit_cache = native.plain("twz_file_limit_cache", None, _POINTER, ctypes.c_uint64)
         self.allocator = native.plain("twz_python_allocator", _POINTER)()
         self.free_locks = native.plain("twz_python_locks_free", None, _POINTER)
 
@@ -126,24 +131,12 @@ class Library:
 
 @cache
 def installed() -> Library | None:
-    """Return the library of the package terrainwave-native; None without one that fits.
-
-    One that does not fit is named in one warning.
-    """
+    """Return the package's library; None without one that fits."""
     native = loaded()
     if native is None:
         return None
-    try:
-        library = Library(native)
-    except AttributeError as error:
-        warn_unused(f"the library of terrainwave-native cannot be used ({error})")
-        return None
-    unknown = KNOWN_FEATURES & ~library.features
-    if unknown:
-        warn_unused(f"terrainwave-native does not know features {unknown:#x} of the format")
-        return None
-    _log.info("the native library reads heights: %s", library.path)
-    return library
+    _log.info("the native library reads heights: %s", native.path)
+    return Library(native)
 
 
 class _Handles:
@@ -177,6 +170,17 @@ class _Handles:
         """Tell the library how much to keep from now on."""
         most = min(self.cache_bytes, _KEPT_OF_LARGE) if self.n_large else self.cache_bytes
         self.library.limit_cache(self.file, most)
+
+    @contextmanager
+    def lent_workers(self) -> Iterator[int | None]:
+        """Lend the threads; None without threads, or while another call has them."""
+        if self.workers is None or not self.pool_lock.acquire(blocking=False):
+            yield None
+            return
+        try:
+            yield self.workers
+        finally:
+            self.pool_lock.release()
 
     def free(self) -> None:
         """Free all; nobody uses any of it. In a child of a fork it stays: threads are missing."""
@@ -320,42 +324,33 @@ class NativeFile:
                         np.logical_not(valid, out=void[at])
         return heights, void
 
-    def samples(
-        self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64], *, is_own: bool
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights of single samples of a level, and which are valid."""
-        found = np.zeros(rows.size, dtype=np.dtype(self._header.dtype))
-        valid = np.zeros(rows.size, dtype=np.bool_)
-        side = self._side(level)
-        units = np.stack([rows // side, cols // side], axis=1)
-        places, numbers = np.unique(units, axis=0, return_inverse=True)
-        order = np.argsort(numbers.ravel(), kind="stable")
-        members = np.split(order, np.cumsum(np.bincount(numbers.ravel()))[:-1])
-        for first in range(0, len(places), _AT_A_TIME):
-            batch = members[first : first + _AT_A_TIME]
-            parts = []
-            for here in batch:
-                box = _box_around(rows[here], cols[here])
-                parts.append((box, np.empty(box.shape, dtype=found.dtype)))
-            masks = self._read_apart(level, parts, is_own=is_own)
-            for here, (box, heights), mask in zip(batch, parts, masks, strict=True):
-                at = rows[here] - box.row, cols[here] - box.col
-                found[here], valid[here] = heights[at], mask[at]
-        return found, valid
-
-    def _read_apart(
-        self, level: int, parts: Sequence[tuple[Region, NDArray[Any]]], *, is_own: bool
-    ) -> list[NDArray[np.bool_]]:
-        """Fill the arrays of regions far from each other; return what is valid of each."""
-        with self._opened() as handles, ExitStack() as stack:
-            windows = [
-                stack.enter_context(self._window(handles, level, region)) for region, _ in parts
-            ]
-            self._fetch(_Rounds(self._container), "window", windows)
-            return [
-                self._decode(handles, window, level, heights, is_own=is_own)
-                for window, (_, heights) in zip(windows, parts, strict=True)
-            ]
+    def bilinear(
+        self,
+        level: int,
+        rows: NDArray[np.float64],
+        cols: NDArray[np.float64],
+        *,
+        is_own: bool,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return bilinear raw heights at positions inside a level, and which are valid."""
+        places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)
+        found = np.empty(rows.size), np.empty(rows.size, dtype=np.bool_)
+        arrays = (array.ctypes.data for array in (*places, *found))
+        size = ctypes.sizeof(_PointsRequest)
+        asked = _PointsRequest(size, level, _BILINEAR, is_own, rows.size, *arrays)
+        n_left = ctypes.c_size_t(rows.size)
+        with self._opened() as handles:
+            points = self._library.make("twz_points_new", handles.file, ctypes.byref(asked))
+            try:
+                while n_left.value:
+                    self._fetch(_Rounds(self._container), "points", [points])
+                    with handles.lent_workers() as workers:
+                        self._library.call(
+                            "twz_points_decode", points, workers, ctypes.byref(n_left)
+                        )
+            finally:
+                self._library.free_points(points)
+        return found
 
     def _side(self, level: int) -> int:
         """Return the samples on a side of a unit."""
@@ -407,13 +402,8 @@ class NativeFile:
         name = "twz_window_decode_into"
         if is_own or heights.size < 4 * self._side(level) ** 2:
             name, given = "twz_window_decode", ()
-        if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
-            try:
-                library.call(name, window, handles.workers, *given)
-            finally:
-                handles.pool_lock.release()
-        else:
-            library.call(name, window, None, *given)
+        with handles.lent_workers() as workers:
+            library.call(name, window, workers, *given)
         if not given:
             to, stride, shown, shown_stride = out
             library.call(
@@ -436,8 +426,3 @@ class _Rounds:
         """Fetch what is not here yet of what is wanted."""
         self._known += wanted
         self._reader.fetch(self._known)
-
-
-def _box_around(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Region:
-    row, col = int(rows.min()), int(cols.min())
-    return Region(row, col, int(rows.max()) - row + 1, int(cols.max()) - col + 1)

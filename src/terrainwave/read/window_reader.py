@@ -109,20 +109,44 @@ class WindowReader:
                 self._run(_fill_or_decode(decoder, set(batch), fill, rows), needed)
         return heights, voids.marked
 
-    def samples(
+    def bilinear(
         self,
         decoder: TreeDecoder,
         level: int,
-        rows: NDArray[np.int64],
-        cols: NDArray[np.int64],
+        rows: NDArray[np.float64],
+        cols: NDArray[np.float64],
         *,
         is_own: bool,
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights and validity of single samples of a level."""
-        found = decoder.samples(level, rows, cols)
-        raw = np.zeros((1, rows.size), dtype=self._dtype)
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return bilinear raw heights at positions inside a level, and which involve a void.
+
+        twz_points adds up in the same order (native/src/points.c), so that heights are equal.
+        """
+        n_rows, n_cols = decoder.grid.level_shape(level)
+        top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
+        bottom, right = np.minimum(top + 1, n_rows - 1), np.minimum(left + 1, n_cols - 1)
+        down, across = rows - top, cols - left
+        # All at once: units that hold several are decoded once, however small the cache is.
+        found = decoder.samples(
+            level,
+            np.concatenate([top, top, bottom, bottom]),
+            np.concatenate([left, right, left, right]),
+        )
+        raw = np.zeros(found.heights.shape, dtype=self._dtype)
         self._fill(found, raw)
-        return raw[0], (found.own_mask if is_own else found.mask)[0]
+        corners = raw.reshape(4, rows.size)
+        valid = (found.own_mask if is_own else found.mask).reshape(4, rows.size)
+        total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
+        weights = (
+            (1 - down) * (1 - across),
+            (1 - down) * across,
+            down * (1 - across),
+            down * across,
+        )
+        for corner, is_valid, weight in zip(corners, valid, weights, strict=True):
+            total += np.where(is_valid, corner.astype(np.float64), 0.0) * weight
+            is_void |= ~is_valid & (weight > 0)
+        return total, is_void
 
     def _fill(self, unit: Decoded, out: NDArray[Any]) -> None:
         """Fill `out` with the raw heights of a part of a unit."""
@@ -171,31 +195,6 @@ def _by_parent(keys: list[Block]) -> tuple[list[Block], dict[Block, list[Block]]
         parent = None if key.is_root_key else unit_key(key)
         (first if parent is None else below.get(parent, first)).append(key)
     return first, below
-
-
-def bilinear(
-    shape: tuple[int, int],
-    rows: NDArray[np.float64],
-    cols: NDArray[np.float64],
-    samples: Callable[
-        [NDArray[np.int64], NDArray[np.int64]], tuple[NDArray[Any], NDArray[np.bool_]]
-    ],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return bilinear raw heights at positions inside a level, and which involve a void.
-
-    `samples` returns raw heights and validity at rows and columns.
-    """
-    n_rows, n_cols = shape
-    top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
-    down, right = rows - top, cols - left
-    total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
-    for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
-        for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
-            raw, valid = samples(row, col)
-            weight = row_weight * col_weight
-            total += np.where(valid, raw.astype(np.float64), 0.0) * weight
-            is_void |= ~valid & (weight > 0)
-    return total, is_void
 
 
 class _Voids:

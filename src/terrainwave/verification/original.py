@@ -22,11 +22,10 @@ from terrainwave.errors import StorageError
 from terrainwave.grid.affine import determinant, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs
-from terrainwave.place.meaning import Told
-from terrainwave.place.units import HeightUnit, height_unit, kind_problem
+from terrainwave.place.meaning import Told, by_numbers
+from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
-from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.vrt.copied import unreported
 
 # Samples per window, and its height if the original is striped: with windows of few rows the
@@ -115,13 +114,32 @@ class Original:
         units = self.dataset.units[self.band - 1]
         return height_unit(units, format_crs(self.dataset.crs))
 
-    def kind_problem(self, info: RasterInfo) -> str | None:
-        """Return the problem if it has depths and the file heights, or the other way round."""
-        told, own = told_of(self.dataset, self.band), info.told
-        if self._asked_kind is not None:
-            told, own = Told(self._asked_kind, "`heights_are`"), Told(info.heights_are)
-        found = told, format_crs(self.dataset.crs)
-        return kind_problem((info.heights_are, own, info.crs), found)
+    def kind_problem(self, terrain: Any) -> str | None:
+        """Return the problem if it and the file have two of heights, depths and radii.
+
+        Reads on while all numbers may be radii.
+        """
+        crs_text, is_asked = format_crs(self.dataset.crs), self._asked_kind is not None
+        told: Told | None = Told(self._asked_kind, "`heights_are`")
+        if not is_asked:
+            told = by_numbers(told_of(self.dataset, self.band), crs_text, self._metres(crs_text))
+        if told is None:
+            return None
+        info = terrain.info()
+        own = terrain.raster_info.own_kind(info.minimum, info.maximum, is_asked=is_asked)
+        return kind_problem(own, (told, crs_text))
+
+    def _metres(self, crs_text: str | None) -> Iterator[tuple[float, float]]:
+        """Yield the ends of valid numbers of windows in metres, or NaN."""
+        index = self.band - 1
+        offset, units = float(self.dataset.offsets[index]), self.dataset.units[index]
+        for window, even in self.windows():
+            # One sample represents all of an even window.
+            shape = window.shape if even is None else (1, 1)
+            heights, valid = self.read(window.row, window.col, *shape)
+            if valid.any():
+                ends = float(heights[valid].min()), float(heights[valid].max())
+                yield in_metres(ends, self.scale, offset, units, crs_text)
 
     def coordinate_epoch(self) -> float | None:
         return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None

@@ -48,7 +48,7 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
             hint = " (with `part` only what it covers is compared)" if name == "size" else ""
             hint = hint if np.less_equal(original.shape, terrain.shape).all() else ""
             yield f"{name} is {found!r}, the original's is {expected!r}{hint}"
-    other_kind = original.kind_problem(terrain.raster_info)
+    other_kind = original.kind_problem(terrain)
     if other_kind is not None:
         yield f"the original's numbers mean something else: {other_kind}"
     if part:

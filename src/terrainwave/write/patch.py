@@ -114,7 +114,8 @@ def patch(
     band, nodata, temp_dir, threads, fresh, progress
         As in `compress`.
     heights_are : {"height", "depth", "radius"}, optional
-        Meaning of the numbers of `src`; overrides its metadata. A file of depths takes only depths.
+        Meaning of the numbers of `src`; overrides its metadata. A file of depths takes
+        only depths, one of radii only radii.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
         The raster that the file was made from, with all earlier patches (band 1). Heights that
         `src` does not cover then stay within the bound of it. Without it they do not change.
@@ -129,8 +130,8 @@ def patch(
     InvalidArgumentError
         If `path` is a URL.
     InvalidHeightsError
-        If `src` or `original` does not fit the file: heights in another unit, with the other sign
-        (depths and heights) or beyond the file's range, voids in a file that cannot mark them, a
+        If `src` or `original` does not fit the file: heights in another unit, two of heights,
+        depths and radii, heights beyond the file's range, voids in a file that cannot mark them, a
         valid height that equals the file's nodata value, heights between its vertical steps; or if
         `original` is not the raster that the file was made from.
     BoundViolationError

@@ -14,6 +14,7 @@ from terrainwave.cli.output import (
     Bar,
     CommandWithoutTarget,
     announce_compiling,
+    in_options,
     plain,
     print_grid,
     print_json,
@@ -136,7 +137,7 @@ def _verify_all(
             report = terrainwave.verify(
                 job.source, original, threads=threads, progress=progress, **options
             )
-        found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
+        found = "ok" if report.ok else f"not ok, {'; '.join(map(in_options, report.problems))}"
         if report.errors is not None:
             found += f", {count_of(report.errors.n_valid, 'height')} compared"
             if report.window is not None:
@@ -168,7 +169,7 @@ def _print_report(report: Any, root: str | None) -> None:
     from terrainwave.verification.original import place_text
 
     for problem in report.problems:
-        click.echo(f"problem: {plain(problem)}")
+        click.echo(f"problem: {in_options(problem)}")
     if report.errors is not None:
         errors = report.errors
         measured = (

@@ -240,10 +240,10 @@ def best_cut(counts: Counts, family: int) -> int:
 
 @cache
 def _cost_table() -> Whole:
-    """Return -64 log2 of frequencies, rounded; none lies so near a half that machines differ."""
-    freqs = np.arange(1, N_SLOTS + 1)
-    costs = np.rint(COST_UNIT * (SLOT_BITS - np.log2(freqs))).astype(np.int64)
-    return np.concatenate([[0], costs])
+    """Return -64 log2 of frequencies, rounded, by whole numbers alone: of 0 it is 0."""
+    # The digits of f ** 128 are 128 log2 f, rounded down, and one.
+    halves = [(freq ** (2 * COST_UNIT)).bit_length() for freq in range(1, N_SLOTS + 1)]
+    return np.array([0, *(COST_UNIT * SLOT_BITS - n // 2 for n in halves)])
 
 
 @cache

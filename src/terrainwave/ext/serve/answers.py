@@ -1,12 +1,12 @@
 """The answers to requests: what is asked, checked, goes to the tiles and files of `layers`."""
 
+import math
 from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-import numpy as np
 from fastapi import APIRouter, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from fastapi.routing import APIRoute
@@ -15,6 +15,13 @@ from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.ext.serve.byte_range import asked_span, is_same
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
+from terrainwave.ext.serve.locations import (
+    BadLocationsError,
+    Locations,
+    fields_of,
+    locations_of,
+    read_body,
+)
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
@@ -81,11 +88,12 @@ class Answers:
             "/{name}/mesh/{z}/{x}/{y}.terrain": self._mesh,
             "/{name}.tif": self._geotiff,
             "/{name}.twz": self._file,
-            "/{name}/height": self._height,
+            "/{name}/height": self._heights,
         }
         router = APIRouter(route_class=_Route)
         for path, answer in answers.items():
             router.add_api_route(path, answer, methods=["GET"])
+        router.add_api_route("/{name}/height", self._heights_posted, methods=["POST"])
         return router
 
     def _find(self, name: str) -> Layer:
@@ -236,14 +244,42 @@ class Answers:
         made = await begun(parts(desk, read, span, ahead))
         return StreamingResponse(made, status, headers, media_type)
 
-    async def _height(
+    async def _heights(
         self,
         name: str,
-        lon: Annotated[float, Query(ge=-720, le=720)],
-        lat: Annotated[float, Query(ge=-90, le=90)],
-    ) -> dict[str, float | str | None]:
+        lon: str | None = None,
+        lat: str | None = None,
+        locations: str | None = None,
+        interpolation: str | None = None,
+    ) -> Response:
         layer = self._find(name)
-        return await self._desk.do(height_at, layer, lon, lat)
+        if locations is None and not (lon is None and lat is None):
+            one = [{"latitude": lat, "longitude": lon}]
+            return await self._answered(layer, one, interpolation, height_at)
+        return await self._answered(layer, locations, interpolation)
+
+    async def _heights_posted(self, request: Request, name: str) -> Response:
+        layer = self._find(name)
+        body = await read_body(request.stream())
+        try:
+            fields = fields_of(body, request.headers.get("content-type", ""))
+        except BadLocationsError as error:
+            return _refusal(error)
+        return await self._answered(layer, fields.get("locations"), fields.get("interpolation"))
+
+    async def _answered(
+        self,
+        layer: Layer,
+        asked: Any,
+        interpolation: Any,
+        answer: Callable[[Layer, Locations], dict[str, Any]] | None = None,
+    ) -> Response:
+        """Return the heights at the places that a request names."""
+        try:
+            places = locations_of(asked, interpolation)
+        except BadLocationsError as error:
+            return _refusal(error)
+        return JSONResponse(await self._desk.do(answer or heights_at, layer, places))
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
@@ -263,19 +299,44 @@ def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None
         )
 
 
-def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | str | None]:
-    """Return the height in metres at a place, null for voids, and the file's bound.
+def _refusal(error: BadLocationsError) -> JSONResponse:
+    return JSONResponse({"status": "INVALID_REQUEST", "error": str(error)}, 400)
 
-    `units` is null where nobody knows the unit: heights are then as the file has them.
+
+def heights_at(layer: Layer, places: Locations) -> dict[str, Any]:
+    """Return the heights in metres at places, null for voids, and the file's bound.
+
+    Results have the fields of Open-Elevation and of OpenTopoData. `units` is null where nobody
+    knows the unit: heights are then as the file has them.
     """
     globe = layer.globe
-    rows, cols = globe.to_samples(np.array([longitude]), np.array([latitude]))
-    heights, _ = globe.heights_at(rows, cols, globe.terrain.grid.k_max)
-    height = float(heights[0])
+    heights = globe.sample(*places)
+    found = zip(heights.tolist(), places.lat.tolist(), places.lon.tolist(), strict=True)
     return {
-        "lon": longitude,
-        "lat": latitude,
-        "height": None if np.isnan(height) else height,
+        "status": "OK",
+        "results": [
+            {
+                "elevation": None if math.isnan(height) else height,
+                "latitude": lat,
+                "longitude": lon,
+                "location": {"lat": lat, "lng": lon},
+                "dataset": layer.name,
+            }
+            for height, lat, lon in found
+        ],
         "max_error": globe.effective_error,
         "units": globe.units,
+    }
+
+
+def height_at(layer: Layer, place: Locations) -> dict[str, Any]:
+    """Return the height at one place, as `heights_at` does, in one object."""
+    found = heights_at(layer, place)
+    (result,) = found["results"]
+    return {
+        "lon": result["longitude"],
+        "lat": result["latitude"],
+        "height": result["elevation"],
+        "max_error": found["max_error"],
+        "units": found["units"],
     }

@@ -126,8 +126,8 @@ def make_app(
         app.add_middleware(
             CORSMiddleware,
             allow_origins=["*"],
-            allow_methods=["GET", "HEAD"],
-            allow_headers=["Range", "If-Range", "If-None-Match"],
+            allow_methods=["GET", "HEAD", "POST"],
+            allow_headers=["Range", "If-Range", "If-None-Match", "Content-Type"],
             expose_headers=["Accept-Ranges", "Content-Range", "ETag"],
         )
 

@@ -10,7 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.meaning import Told
+from terrainwave.place.meaning import RADIUS
 from terrainwave.place.units import height_unit, kind_problem, meeting
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
@@ -26,16 +26,20 @@ def check_units(terrain: TerrainFile, source: RasterSource) -> str:
     Raises
     ------
     InvalidHeightsError
-        If units differ, or one has depths and the other heights.
+        If units differ, or two of heights, depths and radii meet.
     """
     info = terrain.raster_info
-    if source.told is not None:
-        own = info.heights_are, Told(info.heights_are) if source.is_asked else info.told, info.crs
-        problem = kind_problem(own, (source.told, source.info.crs))
+    found = source.settled(info.crs)
+    # Plain arrays do not say that they are depths.
+    is_told = source.told is not None or RADIUS in (info.heights_are, found and found.kind)
+    if found is not None and is_told:
+        held = terrain.info()
+        own = info.own_kind(held.minimum, held.maximum, is_asked=source.is_asked)
+        problem = kind_problem(own, (found, info.crs))
         if problem is not None:
             raise InvalidHeightsError(
-                f"{source.name}: {problem}: turn the numbers, for example gdal_calc --calc=-A, or"
-                " say what they are by `heights_are`"
+                f"{source.name}: {problem}: convert the numbers, depths for example by gdal_calc"
+                " --calc=-A, or say what they are by `heights_are`"
             )
     unit = height_unit(source.info.units, source.info.crs)
     met = meeting(source.name, unit, "the file", terrain.height_unit)

@@ -1,0 +1,263 @@
+"""Wheels with the native library and for any platform: what is in them, and which one pip takes."""
+
+import json
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+
+import pytest
+from native_site import PROJECT, ROOT
+from packaging.tags import sys_tags
+
+from terrainwave import __version__, native_sources
+
+NAME = f"terrainwave-{__version__}"
+HOOK = runpy.run_path(str(PROJECT / "hatch_build.py"))
+full = pytest.mark.full
+native = pytest.mark.native
+
+
+def copied(folder):
+    """Copy what git has into a folder, as a clone or an unpacked sdist; return the folder."""
+    listed = ["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
+    for name in subprocess.check_output(listed, text=True).splitlines():
+        if (ROOT / name).is_file() and not name.startswith(("tests/", "benchmarks/", "docs/")):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, folder / name)
+    return folder
+
+
+def build(source, target, how, *options, **variables):
+    """Let pip build a wheel; return the run, and the wheel if there is one."""
+    run = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", *options, "-w", target, source],
+        env=os.environ | {"TERRAINWAVE_BUILD": how} | variables,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return run, next(iter(target.glob("*.whl")), None)
+
+
+def inside(wheel):
+    """Return the names in a wheel, the note of its build, and the tags that it states."""
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        note = json.loads(archive.read("terrainwave/native.json"))
+        stated = archive.read(f"{NAME}.dist-info/WHEEL").decode()
+    return names, note, re.findall(r"^Tag: (.+)$", stated, re.M)
+
+
+def libraries(names):
+    return [name for name in names if name.endswith((".so", ".dylib", ".dll"))]
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory):
+    """Return the wheel for any platform and that of this one, made of an sdist.
+
+    A library lies beside its package, as after an editable installation.
+    """
+    folder = tmp_path_factory.mktemp("wheels")
+    source = copied(folder / "source")
+    (source / "src" / "terrainwave" / native_sources.NAME).write_bytes(b"an older one")
+    subprocess.run(
+        [sys.executable, "-c", "import sys; from hatchling.build import build_sdist;"
+         " build_sdist(sys.argv[1])", folder],
+        cwd=source, check=True, stdout=subprocess.DEVNULL,
+    )  # fmt: skip
+    with tarfile.open(folder / f"{NAME}.tar.gz") as archive:
+        archive.extractall(folder, filter="data")
+    made = []
+    for how in ("none", "require"):
+        run, wheel = build(folder / NAME, folder / how, how)
+        assert run.returncode == 0, run.stderr
+        made.append(wheel)
+    return made
+
+
+@full
+@native
+def test_one_wheel_has_the_library_and_the_other_says_why_it_has_none(wheels):
+    anywhere, here = map(inside, wheels)
+    assert libraries(anywhere[0]) == []
+    assert anywhere[1].keys() == {"missing"}
+    assert anywhere[2] == ["py3-none-any"]
+    assert libraries(here[0]) == [f"terrainwave/{native_sources.NAME}"]
+    assert here[1] == {"sources": native_sources.digest_of(ROOT)}
+    assert here[2] == [f"py3-none-{HOOK['platform_tag'](native_sources.LIBRARY)}"]
+    assert set(here[0]) - set(libraries(here[0])) == set(anywhere[0])
+    assert [wheel.name.split("-", 2)[2] for wheel in wheels] == [
+        "py3-none-any.whl", f"{here[2][0]}.whl",
+    ]  # fmt: skip
+    assert here[2][0] in map(str, sys_tags())
+
+
+@full
+@native
+def test_pip_takes_the_one_that_fits(wheels, tmp_path):
+    """The names are those of releases: musl, an old glibc and other processors get the other."""
+    for wheel in wheels:
+        name = wheel.name.replace("-linux_", "-manylinux_2_34_")
+        shutil.copy(wheel, tmp_path / name)
+    (machine,) = {tag.platform.split("_", 1)[1] for tag in sys_tags() if "linux_" in tag.platform
+                  and tag.platform.startswith("linux_")}  # fmt: skip
+    taken = {}
+    linux = (f"{kind}_{machine}" for kind in ("manylinux_2_34", "manylinux_2_17", "musllinux_1_2"))
+    for platform in (*linux, "manylinux_2_39_ppc64le", "win_amd64"):
+        target = tmp_path / platform
+        subprocess.run(
+            [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-index", "--pre",
+             "--only-binary=:all:", "--platform", platform, "--find-links", tmp_path, "--dest",
+             target, "terrainwave"],
+            check=True,
+        )  # fmt: skip
+        (found,) = target.iterdir()
+        taken[platform] = not found.name.endswith("-any.whl")
+    assert [platform for platform, has_library in taken.items() if has_library] == [
+        f"manylinux_2_34_{machine}"
+    ]
+
+
+CODE = """
+import json, sys
+import numpy as np, terrainwave as tw
+heights = np.add.outer(np.arange(30), np.arange(20)).astype("int16")
+tw.compress(heights, "a.twz", max_error=1)
+with tw.open("a.twz") as terrain:
+    print(json.dumps([terrain.is_native, int(abs(terrain.read() - heights).max())]))
+"""
+
+
+@full
+@native
+@pytest.mark.parametrize("has_library", [False, True])
+def test_an_installed_wheel_compresses_and_reads(wheels, tmp_path, has_library):
+    venv.create(tmp_path / "venv", system_site_packages=False, with_pip=False)
+    python = tmp_path / "venv" / "bin" / "python"
+    # What it depends on is that of this environment; the package is the wheel's.
+    packages = [path for path in sys.path if path.endswith("-packages")]
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target"]
+    subprocess.run([*pip, tmp_path / "site", wheels[has_library]], check=True)
+    run = subprocess.run(
+        [python, "-W", "error", "-c", CODE], cwd=tmp_path, text=True, capture_output=True,
+        check=False,
+        env=os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(tmp_path / "site"), *packages]),
+            "TERRAINWAVE_NATIVE": "1",
+            "NUMBA_DISABLE_JIT": "1",  # a little: to compile takes longer
+        },
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout) == [has_library, 1]
+
+
+@full
+@native
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        (
+            "require",
+            r"found no C compiler \(no-compiler\) on the PATH, expected the native library",
+        ),
+        ("maybe", "found TERRAINWAVE_BUILD=maybe, expected one of auto, require, none"),
+    ],
+)
+def test_a_build_that_cannot_have_the_library_ends_with_one_line(tmp_path, how, told):
+    source = copied(tmp_path / "source")
+    run, wheel = build(source, tmp_path, how, "--no-build-isolation", CC="no-compiler")
+    assert run.returncode != 0
+    assert wheel is None
+    assert re.search(told, run.stderr)
+    assert "Traceback" not in run.stderr
+
+
+@full
+def test_without_a_compiler_the_wheel_is_for_any_platform(tmp_path):
+    source = copied(tmp_path / "source")
+    run, wheel = build(source, tmp_path, "auto", "--no-build-isolation", CC="no-compiler")
+    assert run.returncode == 0, run.stderr
+    names, note, tags = inside(wheel)
+    assert libraries(names) == []
+    assert note == {"missing": "found no C compiler (no-compiler) on the PATH"}
+    assert tags == ["py3-none-any"]
+
+
+# By LLVM's linkers, without the systems' own libraries.
+FOREIGN = {
+    "macosx_11_0_arm64": (
+        "arm64-apple-macos11.3",
+        "ld64.lld-14 -dylib -arch arm64 -platform_version macos 11.3 12.0 -o {out} {object}",
+    ),
+    "macosx_10_15_x86_64": (
+        "x86_64-apple-macos10.15",
+        "ld64.lld-14 -dylib -arch x86_64 -platform_version macos 10.15 12.0 -o {out} {object}",
+    ),
+    "win_amd64": ("x86_64-pc-windows-msvc", "lld-link-14 /dll /noentry /out:{out} {object}"),
+    "win_arm64": ("aarch64-pc-windows-msvc", "lld-link-14 /dll /noentry /out:{out} {object}"),
+    "linux_aarch64": ("aarch64-linux-gnu", "ld.lld-14 -shared -o {out} {object}"),
+    "linux_i686": ("i686-linux-gnu", "ld.lld-14 -shared -o {out} {object}"),
+}
+
+
+@full
+@native
+@pytest.mark.parametrize("platform", FOREIGN)
+def test_tags_are_those_of_the_target(tmp_path, platform):
+    target, link = FOREIGN[platform]
+    source, made, out = (tmp_path / name for name in ("a.c", "a.o", "library"))
+    source.write_text("int twz(void) { return 1; }\n")
+    subprocess.run(["clang-14", "-target", target, "-c", source, "-o", made], check=True)
+    subprocess.run(link.format(out=out, object=made).split(), check=True)
+    assert HOOK["platform_tag"](out) == platform
+
+
+def test_what_the_digest_covers_is_what_the_library_is_built_of(tmp_path):
+    """A change of any file that is compiled, or of an annex, makes it another library."""
+    source = copied(tmp_path)
+    before = native_sources.digest_of(source)
+    assert before == native_sources.digest_of(ROOT)
+    files = {path.relative_to(source).as_posix() for path in native_sources.source_files(source)}
+    assert {"native/src/window.c", "native/src/internal.h", "native/include/terrainwave.h",
+            "native/python/shim.c", "src/terrainwave/annexes/rapid.bin"} <= files  # fmt: skip
+    for name in sorted(files):
+        path = source / name
+        data = path.read_bytes()
+        path.write_bytes(data + b"\n")
+        assert native_sources.digest_of(source) != before, name
+        path.write_bytes(data)
+    assert native_sources.digest_of(source) == before
+    (source / "native" / "src" / "more.c").write_text("int more;\n")
+    assert native_sources.digest_of(source) != before
+
+
+@full
+@native
+def test_make_builds_again_what_has_changed(tmp_path):
+    """The rules of the Makefile, with a pip that only says what it was asked for."""
+    source = copied(tmp_path / "source")
+    folder = source / ".venv" / "bin"
+    folder.mkdir(parents=True)
+    (folder / "python").write_text("#!/bin/sh\necho asked: $*\n")
+    (folder / "python").chmod(0o755)
+    (source / ".venv" / ".created").touch()
+
+    def asked():
+        """Make the stamp of an installation; return what pip was asked for."""
+        run = ["make", "-o", ".venv/.created", ".venv/.installed"]
+        done = subprocess.run(run, cwd=source, text=True, capture_output=True, check=True)
+        return re.findall("asked: (.*)", done.stdout)
+
+    (first,) = asked()
+    assert first.endswith("--editable .")
+    assert "--no-deps" not in first
+    assert asked() == []
+    later = (source / ".venv" / ".installed").stat().st_mtime + 5
+    os.utime(source / "native" / "src" / "window.c", (later, later))
+    (again,) = asked()
+    assert again.endswith("--no-deps --editable .")
