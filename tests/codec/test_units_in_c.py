@@ -165,7 +165,7 @@ def test_a_job_of_another_size_is_refused(with_library):
     """As one of other sources would be, if the digest did not tell."""
     encoder = in_c.Owned("twz_python_encoder_new", "twz_python_encoder_free")
     job = unit_in_c._Job(size=ctypes.sizeof(unit_in_c._Job) - 8)
-    tables = unit_in_c._new_tables(tables_from(plain_tables(K_MAX, 0)))
+    tables = unit_in_c._new_tables(tables_from(plain_tables(K_MAX, 0)), is_read=False)
     with pytest.raises(ValueError, match="a job of"):
         in_c.call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))
 

@@ -35,9 +35,12 @@ for _ in range(2):
 
 
 @pytest.mark.parametrize("dtype", ["int16", "float32"])
-def test_compress_read_and_verify_import_no_numba(dtype, site, tmp_path, monkeypatch):
-    folders = os.pathsep.join([str(GOLDEN.parents[1] / "src"), str(site)])
-    environment = {**os.environ, "PYTHONPATH": folders, native_library.SWITCH: "1"}
+def test_compress_read_and_verify_import_no_numba(dtype, library, tmp_path, monkeypatch):
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(GOLDEN.parents[1] / "src"),
+        native_library.SWITCH: "1",
+    }
     subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM, str(tmp_path), dtype],
         env=environment, check=True,

@@ -148,7 +148,7 @@ def read_section(
     except ValueError:
         from terrainwave.codec import masks
 
-        return masks.read_section.__wrapped__(  # type: ignore[attr-defined,no-any-return]
+        return masks.read_section.__wrapped__(  # type: ignore[attr-defined]
             section, region, above, is_finest, log
         )
     return cells

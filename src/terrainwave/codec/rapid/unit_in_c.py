@@ -86,7 +86,7 @@ def _new_tables(tables: Tables, *, is_read: bool) -> Owned:
     ]
     return Owned(
         "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
-        is_read,         *(array.ctypes.data for array in arrays),
+        is_read, *(array.ctypes.data for array in arrays),
     )  # fmt: skip
 
 
