@@ -14,7 +14,7 @@ import sys
 sys.path[:0] = ["src", "tests", "tools", "."]
 from benchmarks import same_bytes_worker
 same_bytes_worker.main("2", *sys.argv[1:])
-from terrainwave.coding.dispatchers import COMPILER
+from terrainwave.coding.compiled import COMPILER
 print(COMPILER)
 """
 

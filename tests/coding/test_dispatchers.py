@@ -12,7 +12,7 @@ import pytest
 import yaml
 from cases import some
 
-from terrainwave.coding.dispatchers import TRIED
+from terrainwave.coding.compiled import TRIED
 from terrainwave.coding.private_names import missing
 
 ROOT = Path(__file__).parents[2]
@@ -27,11 +27,11 @@ import numba.core.compiler, numba.core.typed_passes, numba.core.untyped_passes, 
 exec(sys.argv[1])
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")
-    from terrainwave.coding import dispatchers, jit
+    from terrainwave.coding import compiled, jit
     from terrainwave.coding.quick import tripled
     assert tripled(4) == 12
 own = type(tripled.made()) is numba.core.registry.CPUDispatcher
-found = [dispatchers.COMPILER, own, "terrainwave.coding.compiler" in sys.modules]
+found = [compiled.COMPILER, own, "terrainwave.coding.compiler" in sys.modules]
 print(json.dumps([found, [str(one.message) for one in told]]))
 """
 QUICK = """
@@ -124,7 +124,7 @@ def test_a_variable_chooses_either_without_a_note(chosen):
     ids=["method", "arguments", "attribute", "import", "call"],
 )
 def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(change, named):
-    program = f"{change}\nfrom terrainwave.coding import dispatchers\nprint(dispatchers.COMPILER)"
+    program = f"{change}\nfrom terrainwave.coding import compiled\nprint(compiled.COMPILER)"
     done = subprocess.run(
         [sys.executable, "-c", f"import numba.core.typed_passes, numba.core.registry\n{program}"],
         env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "TERRAINWAVE_COMPILER": ""},

@@ -302,7 +302,7 @@ def test_numba_s_own_locators_have_the_last_word(installed, tmp_path):
     options = {"cache": tmp_path / "cache", "NUMBA_CACHE_LOCATOR_CLASSES": named}
     assert used(package, **options)[0] == ["half_place"]
     assert used(package, **options)[0] == []
-    edited = package / "terrainwave" / "coding" / "dispatchers.py"
+    edited = package / "terrainwave" / "coding" / "compiled.py"
     edited.write_text(edited.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
     assert used(package, **options)[0] == ["half_place"]
     del options["cache"]

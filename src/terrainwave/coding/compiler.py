@@ -6,7 +6,7 @@ a kernel has two sides. Python calls numba's own; kernels call a `_Callee`, whic
 lowered, and optimised within its caller: as fast, and two thirds of the time to compile.
 
 The compiler is numba's, reassembled by its documented means (pipelines of passes, classes for
-libraries) and some private attributes: `dispatchers` decides when it is used.
+libraries) and some private attributes: `compiled` decides when it is used.
 """
 
 import gc
