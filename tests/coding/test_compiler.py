@@ -16,7 +16,7 @@ from terrainwave.codec.rapid.file_tables import (
     parse_file_tables,
     plain_tables,
 )
-from terrainwave.coding import compiler, jit
+from terrainwave.coding import compiled, compiler, jit
 from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
 
 needs_jit = pytest.mark.skipif(
@@ -147,7 +147,7 @@ def test_the_least_and_the_most_are_pythons(values):
 
 @needs_jit
 def test_the_least_and_the_most_are_no_functions_to_compile(monkeypatch):
-    monkeypatch.setattr(jit, "_CACHE", False)
+    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
     anew = kernel(extremes.py_func)
     with event.install_recorder("numba:compile") as recorder:
         anew(np.int32(3), np.int64(4), np.int8(5))
@@ -162,7 +162,7 @@ def test_parts_may_use_what_numba_brings():
 
 @needs_jit
 def test_what_only_kernels_call_is_not_compiled_for_python(monkeypatch):
-    monkeypatch.setattr(jit, "_CACHE", False)
+    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
     anew = kernel(all_three.py_func)
     assert compiled_by(lambda: anew(np.array([1, 2], dtype=np.int16))) == {"all_three"}
 
@@ -182,7 +182,7 @@ def test_numba_has_its_own_ways_again_after_a_compilation():
 @needs_jit
 @pytest.mark.parametrize("kinds", [(np.int32, np.uint8), (np.uint64, np.int64), (np.float32, int)])
 def test_operations_have_the_types_that_numba_gives_them(monkeypatch, kinds):
-    monkeypatch.setattr(jit, "_CACHE", False)
+    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
     first, second = (kind(7) for kind in kinds)
     numbers = np.arange(5, dtype=kinds[0])
     quick = kernel(operations.py_func)(numbers, first, second)
