@@ -621,8 +621,11 @@ void Dataset::Describe() {
   /* As the CF conventions say it; a tag of the same name tells what the source said. */
   CPLJSONDocument metadata;
   std::string kind;
-  if (metadata.LoadMemory(reinterpret_cast<const GByte *>(info.metadata), static_cast<int>(info.metadata_length)))
+  std::string proof;
+  if (metadata.LoadMemory(reinterpret_cast<const GByte *>(info.metadata), static_cast<int>(info.metadata_length))) {
     kind = metadata.GetRoot().GetString("heights_are");
+    proof = metadata.GetRoot().GetString("proof");
+  }
   if (kind != "depth" && kind != "height" && kind != "radius") kind.clear();
   if (kind == "depth" || kind == "height")
     band->GDALMajorObject::SetMetadataItem("positive", kind == "depth" ? "down" : "up");
@@ -635,6 +638,7 @@ void Dataset::Describe() {
   own.SetNameValue("BLOCK_SIZE", std::to_string(info.block_size).c_str());
   own.SetNameValue("MESH", info.mesh_name);
   if (!kind.empty()) own.SetNameValue("HEIGHTS_ARE", kind.c_str());
+  if (proof == "none") own.SetNameValue("PROOF", "none");
   if (info.software) own.SetNameValue("SOFTWARE", info.software);
   if (!IsOverview()) own.SetNameValue("LEVEL", std::to_string(grid_.level - info.n_levels).c_str());
   if (IsOverview() || !overviews_.empty()) own.SetNameValue("OVERVIEWS", "averages of samples, without a bound");

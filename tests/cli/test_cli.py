@@ -150,6 +150,18 @@ def test_options_of_compress_reach_the_file(tmp_path, dem):
     assert fields["nodata"] == 100
 
 
+def test_a_file_made_without_the_proof_says_so(tmp_path, dem):
+    for name, options in ("proved", []), ("bare", ["--no-verify"]):
+        path = tmp_path / f"{name}.twz"
+        run("compress", dem, path, "--max-error", 2, "--method", "store", *options)
+        is_proved = not options
+        assert json.loads(run("info", path, "--json").stdout)["proved"] is is_proved
+        assert ("made with --no-verify" in run("info", path).stdout) is not is_proved
+        with terrainwave.open(path) as terrain, rasterio.open(terrain.geotiff()) as dataset:
+            assert ("PROOF" in dataset.tags(1, ns="TERRAINWAVE")) is not is_proved
+            assert ("without the proof" in terrain._repr_html_()) is not is_proved
+
+
 @pytest.mark.parametrize("option", [["--no-mesh"], ["--mesh", "none"]])
 def test_no_mesh_is_accepted(tmp_path, dem, option):
     done = run("compress", dem, tmp_path / "a.twz", "--method", "store", *option)

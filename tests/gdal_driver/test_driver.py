@@ -196,7 +196,9 @@ def test_plain_tags_state_nothing_measured_of_the_raster_that_was_compressed(fol
     heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
     data = terrainwave.compress_to_bytes(heights, max_error=5, threads=1, verify=False)
     (folder / "tagged.twz").write_bytes(data)
-    assert by_python(DESCRIPTION, str(folder / "tagged.twz"))["tags"] == {"licence": "kept"}
+    found = by_python(DESCRIPTION, str(folder / "tagged.twz"))
+    assert found["tags"] == {"licence": "kept"}
+    assert found["own"]["PROOF"] == "none"
 
 
 @pytest.fixture(scope="module", params=["cdf53", "cdf97", "predictive", "rapid", "store"])

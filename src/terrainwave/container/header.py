@@ -172,6 +172,11 @@ class Header:
         return str(found) if found in ("above", "below") else "both"
 
     @property
+    def is_proved(self) -> bool:
+        """Return False if the writer says that it did not compare all samples with originals."""
+        return self.metadata.get("proof") != "none"
+
+    @property
     def coded_error(self) -> int:
         """Return the largest distance of decoded from quantised original heights, in quanta."""
         n_sides = 1 if self.bound_side == "both" else 2

@@ -55,6 +55,7 @@ class VirtualGeoTIFF:
             "MAX_ERROR": repr(terrain.effective_error),
             "METHOD": terrain.header.method,
             "OVERVIEWS": "averages of samples, without a bound",
+            **({} if terrain.header.is_proved else {"PROOF": "none"}),
         }
         return sparse_geotiff(info_to_write(terrain), n_overviews, stated)
 

@@ -65,7 +65,11 @@ def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
             f"{info.n_rows:,} × {info.n_cols:,} samples, {info.dtype}; {info.n_bytes:,} bytes,"
             f" {info.ratio:.3g} times smaller than raw",
         ),
-        ("bound", f"every height within {info.effective_error:.6g}{unit} of the original"),
+        (
+            "bound",
+            f"every height within {info.effective_error:.6g}{unit} of the original"
+            + ("" if info.proved else ", by the encoder; the file was made without the proof"),
+        ),
         (PLURALS[info.heights_are], heights),
         ("unit", info.units or "unknown"),
         ("levels", ", ".join(f"{rows} × {cols}" for rows, cols in info.level_shapes)),

@@ -18,6 +18,7 @@ class Info:
     amount by which stored floats may exceed `max_error`: one float spacing if they represent
     decimal numbers and the file is not strict, otherwise 0. `bound` is the side of the original on
     which heights lie: ``"both"``, ``"above"`` (none is below its original) or ``"below"``.
+    `proved` is False if the file was made without the proof: decoding and comparing every sample.
     `moved_error` is the part of `effective_error` that comes from an earlier file. `earlier` lists
     the .twz files that the heights went through before: ``"file"`` and its bound from the original,
     ``"max_error"``. `units` is the unit of heights, and `units_from` its origin: the ``"band"`` or
@@ -37,6 +38,7 @@ class Info:
     max_error: float
     effective_error: float
     bound: str
+    proved: bool
     quantum: float
     rounding_error: float
     float_error: float
@@ -104,6 +106,7 @@ def info_of(terrain: DescribedFile) -> Info:
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
         bound=header.bound_side,
+        proved=header.is_proved,
         quantum=quantum,
         rounding_error=terrain.quantizer.rho * abs(raster.scale),
         float_error=float_error * abs(raster.scale),

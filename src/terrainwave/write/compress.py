@@ -201,7 +201,8 @@ def compress(
         Directory for large temporary data; by default that of `dst`. With `client`, a path or URL
         that all workers can write to.
     verify : bool
-        Decode the file and compare every sample before it replaces `dst`.
+        Decode the file and compare every sample before it replaces `dst`. A file made without says
+        so (`Terrain.info`).
     threads : int, optional
         Threads that encode; the number of processors by default. The bytes don't depend on it.
     overwrite : bool

@@ -138,7 +138,9 @@ from terrainwave.progress import ProgressCallback
     help="Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
     " their root. Default: yes, unless --no-verify.",
 )
-@click.option("--no-verify", is_flag=True, help="Do not decode and compare every sample.")
+@click.option(
+    "--no-verify", is_flag=True, help="Do not decode and compare every sample; the file says so."
+)
 @resumable
 @click.option(
     "--scheduler",

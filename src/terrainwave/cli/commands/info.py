@@ -201,6 +201,7 @@ def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
             f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}"
             + _SIDES[info.bound],
         ),
+        ("proof", "" if info.proved else "none (made with --no-verify; `verify` compares heights)"),
         (
             "moved",
             f"{info.moved_error:.6g}{unit} of it from an earlier file" if info.moved_error else "",
