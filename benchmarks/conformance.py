@@ -1,6 +1,7 @@
 """Hold our readers against the set: ``python -m benchmarks.conformance``.
 
-Files by reader and part: passed, outside of what the reader knows, failed. Needs node.
+Files by reader and part: passed, outside of what the reader knows, failed. Needs node. The builds
+of the library in C are those of ``make native native-sanitized native-arm`` that are there.
 """
 
 import csv
@@ -17,6 +18,26 @@ READERS = {
     "reference decoder": [sys.executable, "tests/conformance/reference.py"],
     "JavaScript": ["node", "js/testing/conformance.js"],
 }
+# Builds of the library, with kinds of its kernels, and what runs them elsewhere.
+BUILDS = {
+    "gcc": ("baseline", "avx2", "avx512"),
+    "clang": ("baseline", "avx2", "avx512"),
+    "sanitized": ("auto",),
+    "aarch64": ("auto",),
+    "arm32": ("auto",),
+}
+EMULATORS = {
+    "aarch64": ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"],
+    "arm32": ["qemu-arm", "-L", "/usr/arm-linux-gnueabihf"],
+}
+for build, kinds in BUILDS.items():
+    twz = ROOT / "build" / "native" / build / "twz"
+    if twz.exists():
+        for kind in kinds:
+            READERS[f"C, {build}, {kind} kernels"] = [
+                sys.executable, "tests/conformance/native.py", *EMULATORS.get(build, ()), str(twz),
+                "--kernels", kind,
+            ]  # fmt: skip
 Row = namedtuple("Row", "reader part files passed outside failed")
 
 
