@@ -91,16 +91,14 @@ def _make_voids(rng: np.random.Generator, heights: np.ndarray, options: dict[str
     heights[is_void] = options["nodata"]
 
 
-def compressed(drawn: Drawn, *, in_c: bool, verify: bool) -> bytes | str:
-    """Return a file's bytes, or why there is none."""
+def compressed(drawn: Drawn, *, in_c: bool) -> bytes | str:
+    """Return a file's bytes, proved by the same kernels, or why there is none."""
     before = os.environ.get(native_library.SWITCH)
     os.environ[native_library.SWITCH] = str(int(in_c))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return terrainwave.compress_to_bytes(
-                drawn.heights, threads=1, verify=verify, **drawn.options
-            )
+            return terrainwave.compress_to_bytes(drawn.heights, threads=1, **drawn.options)
     except terrainwave.TerrainwaveError as error:
         return f"{type(error).__name__}: {error}"
     finally:
@@ -112,8 +110,8 @@ def compressed(drawn: Drawn, *, in_c: bool, verify: bool) -> bytes | str:
 def compare(number: int, most: tuple[int, int]) -> Row:
     """Compress a raster by both."""
     drawn = drawn_raster(number, most)
-    in_c = compressed(drawn, in_c=True, verify=True)
-    by_numba = compressed(drawn, in_c=False, verify=False)
+    in_c = compressed(drawn, in_c=True)
+    by_numba = compressed(drawn, in_c=False)
     data = in_c if isinstance(in_c, bytes) else b""
     n_rows, n_cols = drawn.heights.shape
     void = ~np.isfinite(drawn.heights) | (drawn.heights == drawn.options.get("nodata", np.nan))

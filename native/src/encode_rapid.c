@@ -487,4 +487,4 @@ twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode
   return rapid_close_payload(&u, 0, error);
 }
 
-twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, &encoder->rows, error); }
+twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, encoder->kernels, &encoder->rows, error); }

@@ -8,9 +8,16 @@
 #include "rapid.h"
 #endif
 
+struct lattice;
+struct above;
+struct bits;
+/* Decode the samples of a region into its cells (mask.h): below known ones, or those of a root (a NULL); b NULL: without a section. */
+typedef void (*mask_decoder)(struct lattice *l, const struct above *a, struct bits *b, uint8_t *coarser, int is_finest);
+
 typedef struct row_kernels {
   twz_kernels kind;
   rapid_decoder decode_rapid;
+  mask_decoder decode_mask;
   void (*write_sums)(int dtype, void *out, const int32_t *quanta, size_t n, uint32_t base);
   void (*write_products)(int dtype, void *out, const int32_t *quanta, size_t n, double base, double num, double den);
   void (*widen)(int32_t *to, const int16_t *from, size_t n, int32_t origin);

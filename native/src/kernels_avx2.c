@@ -1,6 +1,7 @@
 #define ISA(name) name##_avx2
 #include "rapid_unit.h"
 #include "heights_rows.h"
+#include "mask_rows.h"
 #ifdef TWZ_ENCODER
 #include "encode_rows.h"
 #define ENCODER , ISA(encode_lattice)
@@ -9,5 +10,5 @@
 #endif
 
 const row_kernels kernels_avx2 = {
-    TWZ_KERNELS_AVX2, ISA(decode_rapid),
+    TWZ_KERNELS_AVX2, ISA(decode_rapid), ISA(decode_mask),
     ISA(write_sums), ISA(write_products), ISA(widen), ISA(add_shorts) ENCODER};
