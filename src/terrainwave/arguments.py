@@ -21,6 +21,8 @@ BLOCKS = (32, 64, 128, 256, 512, 1024)
 TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
+# Samples on a side of a height tile: 2ⁿ + 1 up to this.
+MAX_TILE_SIZE = 16385
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = EXACT, ANY = "exact", "any"
 # How damaged blocks are handled.
@@ -315,6 +317,15 @@ def checked_whole(
             f" {expected or _in_range('a whole number', least, most)}"
         )
     return number
+
+
+def checked_tile_size(name: str, value: object) -> int:
+    """Return the samples on a side of a height tile; errors are those of `checked_number`."""
+    expected = f"2^n + 1 from 3 to {MAX_TILE_SIZE} (such as 1025) or window"
+    side = checked_whole(name, value, least=3, most=MAX_TILE_SIZE, expected=expected)
+    if (side - 1) & (side - 2):
+        raise InvalidArgumentError(f"found `{name}` {side}, expected {expected}")
+    return side
 
 
 def _in_range(kind: str, least: float, most: float) -> str:

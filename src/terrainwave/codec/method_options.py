@@ -4,8 +4,7 @@ Each method has a class of its own, which its entry in `names.METHODS` names.
 """
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from terrainwave.arguments import check_choice, check_effort, shown
 from terrainwave.errors import InvalidArgumentError
@@ -18,7 +17,15 @@ from terrainwave.names import (
     SMALLEST_METHOD,
     Method,
 )
-from terrainwave.option_sets import OptionSet, whole
+from terrainwave.option_sets import OptionSet, option, set_at, whole
+
+METHOD_HELP = f"auto is {DEFAULT_METHOD.name}; with --effort best it is {SMALLEST_METHOD.name}."
+_EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
+EFFORT_HELP = (
+    f"Number of variants that the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
+    f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
+    " 0.95 of the default's size (0.79 to 0.99), and are read 6 times as slowly."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,19 +69,17 @@ class MethodChoice(NamedTuple):
 class BlockMethodOptions(MethodOptions):
     """Options of a method that codes blocks, which share samples with their neighbours."""
 
-    border_rings: int = whole(
+    border_rings: int = option(
+        whole(1, 3),
         "Rings of samples on both sides of each block border that neighbouring blocks share"
         " (Yusov & Turlapov 2010, §2.3). Default: 1.",
-        1,
-        3,
+        default=1,
     )
 
 
 def options_of(name: str) -> type[MethodOptions]:
     """Return the class of a method's options."""
-    module, kind = METHODS[name].options.rsplit(".", 1)
-    found: type[MethodOptions] = getattr(import_module(f"terrainwave.codec.{module}"), kind)
-    return found
+    return cast(type[MethodOptions], set_at(f"terrainwave.codec.{METHODS[name].options}"))
 
 
 def chosen(method: object, effort: str) -> MethodChoice:

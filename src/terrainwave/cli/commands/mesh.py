@@ -9,15 +9,15 @@ import click
 
 from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, UPWARDS, check_ending, count_of
 from terrainwave.cli.options import (
+    BOUND,
+    FINITE,
     LEVEL_OPTION,
+    POSITIVE,
     RADIUS_OPTION,
     VERTICAL_OPTION,
-    Bound,
-    Finite,
     Input,
     Name,
-    Numbers,
-    Positive,
+    OfKind,
     check_one_area,
     complete_files,
     writing,
@@ -40,6 +40,7 @@ from terrainwave.cli.own_options import (
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS
+from terrainwave.option_sets import BOUNDS, WINDOW
 
 # Options for --store, for --store and for separate meshes alike, and for separate meshes with a
 # goal.
@@ -55,7 +56,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @click.argument("target", shell_complete=complete_files)
 @click.option(
     "--max-error",
-    type=Bound(),
+    type=BOUND,
     help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
     " unit; in --frame ecef and .terrain with the curvature of the globe. Default: use the stored"
     " meshes and their error.",
@@ -63,8 +64,8 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
 @LEVEL_OPTION
-@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
-@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option("--window", type=OfKind(WINDOW), help="Part, in samples.")
+@click.option("--bounds", type=OfKind(BOUNDS), help="Part, in the CRS.")
 @click.option(
     "--optimise/--no-optimise",
     default=True,
@@ -85,19 +86,19 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 )
 @click.option(
     "--z-scale",
-    type=Positive(),
+    type=POSITIVE,
     default=1.0,
     show_default=True,
     help="Multiply heights by this factor.",
 )
 @click.option(
     "--solid",
-    type=Finite(),
+    type=FINITE,
     help="Write a watertight body with a flat base at this height, in the file's unit, to print.",
 )
 @click.option(
     "--skirts",
-    type=Positive(),
+    type=POSITIVE,
     metavar="HEIGHT",
     help="Hang walls of this height, in the file's unit, from all borders. They hide gaps next to"
     " meshes of another error.",
@@ -142,7 +143,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 )
 @click.option(
     "--mesh-error",
-    type=Bound(),
+    type=BOUND,
     help="With --store: largest distance of the finest meshes from the decoded heights. Default: as"
     " for compress.",
 )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.option_sets import positive
+from terrainwave.option_sets import number, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +23,13 @@ class Cdf53(MethodOptions):
 
     name = "cdf53"
 
-    rate: float | None = positive("Bits per sample that the file may take, instead of --max-error.")
-    psnr: float | None = positive(
+    rate: float | None = option(
+        number(above=0), "Bits per sample that the file may take, instead of --max-error."
+    )
+    psnr: float | None = option(
+        number(above=0),
         "Decibels of the heights' range over the root mean square error that the file must reach,"
-        " instead of --max-error."
+        " instead of --max-error.",
     )
 
     def __post_init__(self) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from terrainwave.codec.method_options import BlockMethodOptions
-from terrainwave.option_sets import flag
+from terrainwave.option_sets import FLAG, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,10 @@ class Cdf97(BlockMethodOptions):
 
     name = "cdf97"
 
-    faithful: bool = flag(
-        "Follow Yusov & Turlapov (2010) as closely as the format can. Files become larger."
+    faithful: bool = option(
+        FLAG,
+        "Follow Yusov & Turlapov (2010) as closely as the format can. Files become larger.",
+        default=False,
     )
 
     @property

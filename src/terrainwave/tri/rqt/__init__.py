@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import Method, methods_that
-from terrainwave.option_sets import choice
+from terrainwave.option_sets import option, words
 from terrainwave.tri.mesh_options import MeshOptions
 
 
@@ -22,11 +22,10 @@ class Rqt(MeshOptions):
 
     name = "rqt"
 
-    select: str = choice(
+    select: str = option(
+        words("error", "coefficient"),
         "What selects vertices: error, so that all samples are within --mesh-error (default); or"
         " coefficient, with method cdf53, their wavelet coefficients: the error is measured.",
-        "error",
-        "coefficient",
         default="error",
     )
 
