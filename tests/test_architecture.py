@@ -114,7 +114,7 @@ LONG = {"_sweep_cells", "code_heights", "code_pass", "code_residuals"}
 WIDE = {
     "options of a user": {
         "compress", "compress_to_bytes", "decompress", "write_pmtiles", "_draw", "verify", "view",
-        "save", "save_mesh", "save_lods", "make_app",
+        "save", "save_lods", "make_app",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
         "_add_spread", "_code_line", "_code_node", "_code_tables", "_flip", "_insert",

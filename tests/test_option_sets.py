@@ -15,6 +15,8 @@ from terrainwave.cli.commands.compress import compress as command
 from terrainwave.cli.options import declared
 from terrainwave.container.metadata import ORIGIN
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export import Shape
+from terrainwave.export.mesh import Mesh
 from terrainwave.option_sets import FLAG, OptionSet, number, numbers, option, whole, words
 from terrainwave.render.window.view_options import ViewOptions
 from terrainwave.write.compress_options import Options
@@ -84,7 +86,12 @@ def keywords_of(function):
 
 @pytest.mark.parametrize(
     ("function", "options"),
-    [(terrainwave.compress, Options), (terrainwave.Terrain.view, ViewOptions)],
+    [
+        (terrainwave.compress, Options),
+        (terrainwave.Terrain.view, ViewOptions),
+        (Mesh.save, Shape),
+        (terrainwave.save_lods, Shape),
+    ],
 )
 def test_keywords_of_functions_are_the_declared_fields(function, options):
     defaults = {one.name: one.default for one in options.options()}

@@ -138,6 +138,14 @@ def count_of(number: int, noun: str) -> str:
 # How heights on the globe relate to their datum.
 AS_IS, ELLIPSOID = "as-is", "ellipsoid"
 VERTICAL = (AS_IS, ELLIPSOID)
+VERTICAL_HELP = (
+    ": used as heights above the ellipsoid without a change (as-is), or converted from the CRS's"
+    " vertical datum by PROJ's grid (ellipsoid)."
+)
+RADIUS_HELP = (
+    "Radius of the planet or moon in metres, for coordinates in degrees. Default: the ellipsoid of"
+    " the CRS."
+)
 # Axes of mesh files that may point upwards.
 UPWARDS = ("y", "z")
 # Each level of detail may have twice the error of the one before: no mesh has detail for more.

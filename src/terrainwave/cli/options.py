@@ -10,17 +10,15 @@ from click.shell_completion import CompletionItem
 
 from terrainwave.arguments import (
     ARCHIVE_ENDING,
-    AS_IS,
-    VERTICAL,
     check_ending,
     check_local,
     checked_path,
 )
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export import Shape
 from terrainwave.option_sets import FLAG, PATH, Kind, OptionSet, number
 from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
-from terrainwave.render.modes.drawn_options import DrawnOptions
 
 
 def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
@@ -206,22 +204,8 @@ THREADS_OPTION = click.option(
     type=click.IntRange(min=1),
     help="Number of threads. Default: all available processors.",
 )
-RADIUS_OPTION = declared(DrawnOptions, "radius", "radius")
-
-
-def vertical_option(heights: str) -> Callable[[Any], Any]:
-    """Return the option --vertical, with help for these heights."""
-    return click.option(
-        "--vertical",
-        type=click.Choice(VERTICAL),
-        default=AS_IS,
-        show_default=True,
-        help=f"{heights}: used as heights above the ellipsoid without a change (as-is), or"
-        " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
-    )
-
-
-VERTICAL_OPTION = vertical_option("Heights on the globe")
+RADIUS_OPTION = declared(Shape, "radius", "radius")
+VERTICAL_OPTION = declared(Shape, "vertical")
 LEVEL_OPTION = click.option(
     "--level",
     type=int,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from terrainwave.arguments import RADIUS_HELP
 from terrainwave.option_sets import FLAG, OptionSet, number, option, whole, words
 from terrainwave.render.modes import MODES, options_of
 
@@ -58,12 +59,7 @@ class DrawnOptions(OptionSet):
         default=1.0,
         typed={"has_range": True},
     )
-    radius: float | None = option(
-        number(above=0),
-        "Radius of the planet or moon in metres, for coordinates in degrees. Default: the ellipsoid"
-        " of the CRS.",
-        typed={"metavar": "METRES"},
-    )
+    radius: float | None = option(number(above=0), RADIUS_HELP, typed={"metavar": "METRES"})
 
     def of_mode(self) -> dict[str, Any]:
         """Return the given options of the mode; raise `InvalidArgumentError` for another's."""
