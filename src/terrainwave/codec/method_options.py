@@ -3,8 +3,9 @@
 Each method has a class of its own, which its entry in `names.METHODS` names.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from terrainwave.arguments import check_choice, check_effort, shown
 from terrainwave.errors import InvalidArgumentError
@@ -16,6 +17,7 @@ from terrainwave.names import (
     PLAIN_METHOD,
     SMALLEST_METHOD,
     Method,
+    methods_that,
 )
 from terrainwave.option_sets import OptionSet, option, set_at, whole
 
@@ -39,9 +41,29 @@ class MethodOptions(OptionSet):
         return METHODS[self.name]
 
     @property
-    def must_stay(self) -> bool:
-        """Return whether they require features of only this method's files."""
+    def is_faithful(self) -> bool:
+        """Return whether files follow the method's paper."""
         return False
+
+    @property
+    def goal(self) -> str:
+        """Return the option that cuts streams, instead of a bound; "" if there is none."""
+        return ""
+
+    @property
+    def without_efforts(self) -> str:
+        """Return why all efforts give the same file; "" if they do not."""
+        return "" if self.method.effort else f"method {self.name} has no efforts"
+
+    def check_beside(self, given: Mapping[str, Any]) -> None:
+        """Raise `InvalidArgumentError` for options of `compress` that do not go with these."""
+        if "stable" in given and (self.is_faithful or not self.method.has_remainders):
+            fit = methods_that(lambda method: method.has_remainders)
+            found = "`faithful`" if self.is_faithful else f"`method` {self.name}"
+            raise InvalidArgumentError(
+                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
+                " round heights in ways of their own"
+            )
 
 
 class MethodChoice(NamedTuple):
@@ -115,7 +137,7 @@ def chosen(method: object, effort: str) -> MethodChoice:
 
 
 def _choice(own: MethodOptions, effort: str, reason: str) -> MethodChoice:
-    stays = own.must_stay or own.method == PLAIN_METHOD
+    stays = own.is_faithful or own.goal or own.method == PLAIN_METHOD
     return MethodChoice(own, effort, reason, None if stays else PLAIN_METHOD)
 
 

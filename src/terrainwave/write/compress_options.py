@@ -20,7 +20,6 @@ from terrainwave.names import (
     MESH_KINDS,
     METHODS,
     Method,
-    methods_that,
 )
 from terrainwave.option_sets import FLAG, Kind, OptionSet, number, numbers, option, whole, words
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
@@ -129,45 +128,17 @@ class Options(OptionSet):
             )
         choice = chosen(self.method, self.effort)
         kind = self.mesh_kind or stored_mesh(
-            self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
+            self.mesh, choice.own.method, is_faithful=choice.own.is_faithful
         )
         made = {"method": choice.own, "effort": choice.effort, "choice": choice, "mesh_kind": kind}
         for name, value in made.items():
             object.__setattr__(self, name, value)
-        self._check_goals()
-
-    def _check_goals(self) -> None:
-        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits."""
-        cuts = [name for name in ("rate", "psnr") if getattr(self, name) is not None]
-        if cuts and self.max_error is not None:
-            raise InvalidArgumentError(
-                f"found `max_error` and `{cuts[0]}`, expected one of them: a stream is cut in one"
-                " place"
-            )
-        if cuts and self.strict:
-            raise InvalidArgumentError(
-                f"found `strict` and `{cuts[0]}`, expected `max_error`: there is no other bound to"
-                " keep strictly"
-            )
-        if cuts and self.height_range is not None:
-            raise InvalidArgumentError(
-                f"found `height_range` and `{cuts[0]}`, expected one of them: streams that are cut"
-                " cannot be patched"
-            )
-        if not self.stable:
-            return
-        if self.max_error is None:
+        if self.stable and self.max_error is None and not choice.own.goal:
             raise InvalidArgumentError(
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        if self.named_method.is_tiled or self.faithful:
-            fit = methods_that(lambda method: not method.is_tiled)
-            found = "`faithful`" if self.faithful else f"`method` {self.named_method.name}"
-            raise InvalidArgumentError(
-                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
-                " round heights in ways of their own"
-            )
+        choice.own.check_beside(super().to_metadata())
 
     def to_metadata(self) -> dict[str, Any]:
         """Return the options that affect files or the proof, as plain values for JSON."""
@@ -201,7 +172,7 @@ class Options(OptionSet):
     @property
     def faithful(self) -> bool:
         """Return whether the file follows its method's paper."""
-        return getattr(self.method, "faithful", False)
+        return self.choice.own.is_faithful
 
     @property
     def rate(self) -> float | None:
@@ -221,7 +192,7 @@ class Options(OptionSet):
     @property
     def is_embedded(self) -> bool:
         """Return whether streams are cut by size or mean error instead of by a bound."""
-        return self.rate is not None or self.psnr is not None
+        return bool(self.choice.own.goal)
 
     @property
     def n_threads(self) -> int:
@@ -241,16 +212,7 @@ class Options(OptionSet):
             notes.append("the mesh error changes nothing: the file gets no meshes")
         if self.measure_meshes and self.mesh_kind == "none":
             notes.append("measuring meshes changes nothing: the file gets no meshes")
-        if self.effort == DEFAULT_EFFORT:
-            return notes
-        if self.faithful:
-            return [
-                *notes,
-                f"effort {self.effort} changes nothing: faithful files have one wavelet step",
-            ]
-        if self.named_method.effort:
-            return notes
-        return [
-            *notes,
-            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts",
-        ]
+        reason = self.choice.own.without_efforts
+        if reason and self.effort != DEFAULT_EFFORT:
+            notes.append(f"effort {self.effort} changes nothing: {reason}")
+        return notes

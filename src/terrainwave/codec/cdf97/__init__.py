@@ -30,6 +30,11 @@ class Cdf97(BlockMethodOptions):
     )
 
     @property
-    def must_stay(self) -> bool:
+    def is_faithful(self) -> bool:
         """Return whether files are to follow the paper, which other methods cannot do."""
         return self.faithful
+
+    @property
+    def without_efforts(self) -> str:
+        """Return why all efforts give the same file; "" if they do not."""
+        return "faithful files have one wavelet step" if self.faithful else ""

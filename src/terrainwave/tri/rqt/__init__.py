@@ -33,10 +33,10 @@ class Rqt(MeshOptions):
         """Return the kind of meshes that a file of a method holds."""
         if self.select == "error":
             return self.name
-        if not method.is_tiled:
+        if not method.has_coefficients:
             raise InvalidArgumentError(
                 f"found `select`={self.select} for a file of method {method.name}, expected one of"
-                f" method {methods_that(lambda method: method.is_tiled)}, whose coefficients it"
+                f" method {methods_that(lambda one: one.has_coefficients)}, whose coefficients it"
                 " follows"
             )
         return f"{self.name}-{self.select}"
