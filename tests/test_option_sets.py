@@ -1,7 +1,9 @@
 """An option is declared once: its field is the keyword, the command's option and the metadata."""
 
+import ast
 import inspect
 from dataclasses import dataclass
+from pathlib import Path
 
 import click
 import pytest
@@ -20,6 +22,8 @@ from terrainwave.export.mesh import Mesh
 from terrainwave.option_sets import FLAG, OptionSet, number, numbers, option, whole, words
 from terrainwave.render.window.view_options import ViewOptions
 from terrainwave.write.compress_options import Options
+
+ROOT = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,3 +105,15 @@ def test_keywords_of_functions_are_the_declared_fields(function, options):
 def test_every_option_of_compress_with_help_is_one_of_the_command():
     shown = {one.name for one in Options.options() if one.metadata["help"]}
     assert shown <= {parameter.name for parameter in command.params}
+
+
+def test_the_plugin_of_qgis_offers_the_methods_that_are_declared():
+    """It imports nothing of the package, so it has their names once more."""
+    plugin = ast.parse((ROOT / "qgis/terrainwave_plugin/algorithms.py").read_text("utf-8"))
+    (named,) = (
+        ast.literal_eval(node.value)
+        for node in plugin.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "METHODS"
+    )
+    (method,) = (one for one in Options.options() if one.name == "method")
+    assert tuple(named) == method.metadata["kind"].choices

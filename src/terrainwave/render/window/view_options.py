@@ -1,6 +1,7 @@
 """`ViewOptions`: the options of `Terrain.view`, and of the commands render and view."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,13 @@ from terrainwave.render.modes.drawn_options import DrawnOptions
 
 
 def _checked_size(name: str, size: Any) -> Any:
-    sides = checked_numbers(name, size, "width, height", is_whole=True)
-    if min(sides) < 1:
-        raise InvalidArgumentError(f"found `{name}` {shown(size)}, expected pixels >= 1")
-    return sides
+    with suppress(InvalidArgumentError):
+        sides = checked_numbers(name, size, "width, height", is_whole=True)
+        if min(sides) >= 1:
+            return sides
+    raise InvalidArgumentError(
+        f"found `{name}` {shown(size)}, expected a width and a height in pixels, such as 1920x1280"
+    )
 
 
 def _checked_camera(name: str, camera: Any) -> str:
