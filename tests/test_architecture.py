@@ -7,6 +7,7 @@ import sys
 import threading
 import traceback
 from collections import Counter
+from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -15,7 +16,7 @@ from unittest import mock
 import pytest
 from strategies import terrain_like
 
-from terrainwave.names import METHODS
+from terrainwave.names import METHODS, Method
 from terrainwave.write.compress import compress
 
 REPOSITORY = Path(__file__).parent.parent
@@ -114,7 +115,7 @@ LONG = {"_sweep_cells", "code_heights", "code_pass", "code_residuals"}
 WIDE = {
     "options of a user": {
         "compress", "compress_to_bytes", "decompress", "write_pmtiles", "_draw", "verify", "view",
-        "save", "save_mesh", "save_lods", "make_app",
+        "save", "save_lods", "make_app",
     },
     "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
         "_add_spread", "_code_line", "_code_node", "_code_tables", "_flip", "_insert",
@@ -426,6 +427,27 @@ def test_only_the_table_of_methods_knows_them_by_name():
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
                 raise AssertionError(f"{path.name}:{node.lineno} has the name {node.value!r}")
+
+
+# What only some methods and modes can do, and the most lines that ask for it where all of them are
+# handled: each is a case that the next method has to know. Headers have remainders of their own.
+OF_SYSTEMS = {one.name for one in fields(Method) if isinstance(one.default, bool)}
+OF_SYSTEMS |= {"is_tiled", "faithful", "is_faithful", "is_embedded", "goal", "rate", "psnr"}
+OF_SYSTEMS = OF_SYSTEMS - {"has_remainders"} | {"has_limit", "is_partwise"}
+OWN = ("codec/cdf", "codec/method_options", "names", "render/modes", "tri/rqt", "tri/zerotree")
+MOST_ASKED = 67
+
+
+def test_few_lines_ask_which_system_they_handle():
+    asked = {
+        f"{path.relative_to(PACKAGE)}:{node.lineno}"
+        for path in modules()
+        if not str(path.relative_to(PACKAGE)).startswith(OWN)
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Attribute) and node.attr in OF_SYSTEMS
+        and isinstance(node.ctx, ast.Load)
+    }  # fmt: skip
+    assert len(asked) <= MOST_ASKED, sorted(asked)
 
 
 def test_one_function_decides_the_method():

@@ -21,6 +21,8 @@ BLOCKS = (32, 64, 128, 256, 512, 1024)
 TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
+# Samples on a side of a height tile: 2ⁿ + 1 up to this.
+MAX_TILE_SIZE = 16385
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = EXACT, ANY = "exact", "any"
 # How damaged blocks are handled.
@@ -136,6 +138,14 @@ def count_of(number: int, noun: str) -> str:
 # How heights on the globe relate to their datum.
 AS_IS, ELLIPSOID = "as-is", "ellipsoid"
 VERTICAL = (AS_IS, ELLIPSOID)
+VERTICAL_HELP = (
+    ": used as heights above the ellipsoid without a change (as-is), or converted from the CRS's"
+    " vertical datum by PROJ's grid (ellipsoid)."
+)
+RADIUS_HELP = (
+    "Radius of the planet or moon in metres, for coordinates in degrees. Default: the ellipsoid of"
+    " the CRS."
+)
 # Axes of mesh files that may point upwards.
 UPWARDS = ("y", "z")
 # Each level of detail may have twice the error of the one before: no mesh has detail for more.
@@ -315,6 +325,15 @@ def checked_whole(
             f" {expected or _in_range('a whole number', least, most)}"
         )
     return number
+
+
+def checked_tile_size(name: str, value: object) -> int:
+    """Return the samples on a side of a height tile; errors are those of `checked_number`."""
+    expected = f"2^n + 1 from 3 to {MAX_TILE_SIZE} (such as 1025) or window"
+    side = checked_whole(name, value, least=3, most=MAX_TILE_SIZE, expected=expected)
+    if (side - 1) & (side - 2):
+        raise InvalidArgumentError(f"found `{name}` {side}, expected {expected}")
+    return side
 
 
 def _in_range(kind: str, least: float, most: float) -> str:

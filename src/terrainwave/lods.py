@@ -15,10 +15,11 @@ from typing import Any
 from terrainwave.arguments import AS_IS, MOST_LODS, check_flags, checked_error, checked_whole
 from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import BoundViolationError, InvalidArgumentError, TerrainwaveWarning
+from terrainwave.export import Shape
 from terrainwave.export.mesh_files import (
-    Shape,
     check_drape,
     check_extension,
+    check_shape,
     mesh_for_file,
     note_on_rounding,
     prepare,
@@ -104,12 +105,13 @@ def save_lods(
     area: the mesh is one surface without gaps, and no height is further from it than the mesh's
     error plus the file's bound. `error` includes the rounding of the file's coordinates.
     """
+    given = locals()
     n_lods = checked_whole("n_lods", n_lods, least=1, most=MOST_LODS)
     max_error = checked_error("max_error", max_error)
     check_flags(overwrite=overwrite)
-    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up, drape)
+    shape = Shape(**{name: given[name] for name in Shape.names()})
     options = vars(shape)
-    shape.check(check_extension(dst))
+    check_shape(shape, check_extension(dst))
     _refuse_zero(max_error, n_lods)
     paths = [lod_path(dst, number) for number in range(n_lods)]
     for path in paths:

@@ -57,6 +57,10 @@ class Method:
         The file's header may hold tables for all of its units.
     has_layers : bool
         It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
+    has_coefficients : bool
+        Its files hold wavelet coefficients, which meshes may follow.
+    has_remainders : bool
+        It keeps heights that lie on no vertical grid exactly, and heights rounded to fixed steps.
     """
 
     name: str
@@ -72,6 +76,8 @@ class Method:
     has_rings: bool = False
     has_file_tables: bool = False
     has_layers: bool = False
+    has_coefficients: bool = False
+    has_remainders: bool = True
 
     @property
     def is_tiled(self) -> bool:
@@ -94,7 +100,8 @@ METHODS = {
                effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True,
                has_rings=True),
         Method(name="cdf53", number=3, options="cdf53.Cdf53",
-               pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
+               pyramid="lowpass53", is_cuttable=True, is_clusterable=False,
+               has_coefficients=True, has_remainders=False),
         Method(name="store", number=0, options="store.Store",
                refiner="store.refiner.StoreRefiner", has_rings=True),
     )
@@ -108,7 +115,7 @@ PLAIN_METHOD = METHODS["store"]
 
 def mesh_without_coefficients(mesh: str, method: Method) -> str:
     """Return the kind of meshes to use if a method lacks what this kind needs."""
-    return "rqt" if mesh in UNBOUNDED_MESHES and not method.is_tiled else mesh
+    return "rqt" if mesh in UNBOUNDED_MESHES and not method.has_coefficients else mesh
 
 
 def methods_that(can: Callable[[Method], bool]) -> str:

@@ -1,81 +1,152 @@
-"""Options of a method or of a kind of meshes: declared once, for Python and for commands.
+"""Options, each declared once: the field of a class with its values, default and help.
 
-Each set is a class in the package that it configures (`codec.cdf97`, `tri.rqt`). The library takes
-an object, ``method=tw.Cdf97(faithful=True)``, the command line words, ``--method cdf97 -o
-faithful``.
+The field is the keyword in Python, the option of commands (`cli.options.declared`; ``-o`` for
+options of a method or of a kind of meshes) and the key in metadata. It checks its value.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Self
+from collections.abc import Callable, Mapping
+from dataclasses import Field, dataclass, field, fields
+from functools import partial
+from importlib import import_module
+from typing import Any, ClassVar, Self, cast
 
-from terrainwave.arguments import check_choice, check_flags, checked_number, checked_whole, one_of
+from terrainwave.arguments import (
+    check_choice,
+    check_flags,
+    checked_number,
+    checked_numbers,
+    checked_path,
+    checked_tile_size,
+    checked_whole,
+    nodata_choice,
+    one_of,
+)
 from terrainwave.errors import InvalidArgumentError
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """Values of an option: how they are checked, parsed, and shown in help."""
+class Kind:
+    """Values of an option: how they are checked, read from text, and shown in help.
+
+    Attributes
+    ----------
+    checked : callable
+        Takes the option's name and a value; returns the value, or raises `InvalidArgumentError`.
+    read : callable
+        Takes text; returns the value to check.
+    values : str
+        The values as help shows them; empty for a flag.
+    choices : tuple of str
+        The words to choose from, if these are all values.
+    limits : dict
+        Those of a number, as `checked_number` takes them.
+    """
 
     checked: Callable[[str, Any], Any]
-    read: Callable[[str], Any]
-    values: str
+    read: Callable[[str], Any] = str
+    values: str = ""
+    choices: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def from_text(self, text: str, found: str = "") -> Any:
+        """Return the value that a command was given as text; messages call it `found`."""
+        try:
+            return self.checked("value", self.read(text))
+        except InvalidArgumentError as error:
+            expected = error.args[0].rpartition(", expected ")[2]
+            raise InvalidArgumentError(f"found {found or text}, expected {expected}") from None
 
 
-def flag(help: str) -> Any:
-    """Return the field of an option that is off by default."""
-
-    def checked(name: str, value: Any) -> bool:
-        check_flags(**{name: value})
-        return bool(value)
-
-    return _field(False, help, _Kind(checked, str, ""))
+def _checked_flag(name: str, value: Any) -> bool:
+    check_flags(**{name: value})
+    return bool(value)
 
 
-def choice(help: str, *values: str, default: str | None) -> Any:
-    """Return the field of an option with some words as values; None if it may be left out."""
-
-    def checked(name: str, value: Any) -> Any:
-        if value is not None or default is not None:
-            check_choice(name, value, values)
-        return value
-
-    return _field(default, help, _Kind(checked, str, "|".join(values)))
+FLAG = Kind(_checked_flag)
+PATH = Kind(lambda name, value: checked_path(value, name), values="path")
 
 
-def whole(help: str, *values: int) -> Any:
-    """Return the field of an option with some whole numbers as values; the first is the default."""
-    expected = one_of([*map(str, values)])
+def words(*choices: str) -> Kind:
+    """Return the kind of an option with some words as values."""
+
+    def checked(name: str, value: Any) -> str:
+        check_choice(name, value, choices)
+        return str(value)
+
+    return Kind(checked, values="|".join(choices), choices=choices)
+
+
+def whole(*choices: int, expected: str = "") -> Kind:
+    """Return the kind of an option with some whole numbers as values."""
+    texts = [*map(str, choices)]
+    expected = expected or (one_of(texts) if len(texts) < 3 else f"one of {', '.join(texts)}")
 
     def checked(name: str, value: Any) -> int:
-        number = checked_whole(name, value, expected=expected)
-        if number not in values:
-            raise InvalidArgumentError(f"found `{name}` {number}, expected {expected}")
-        return number
+        found = checked_whole(name, value, expected=expected)
+        if found not in choices:
+            raise InvalidArgumentError(f"found `{name}` {found}, expected {expected}")
+        return found
 
-    return _field(values[0], help, _Kind(checked, _number, "|".join(map(str, values))))
-
-
-def positive(help: str) -> Any:
-    """Return the field of an option with a number > 0 as value; None if it is left out."""
-
-    def checked(name: str, value: Any) -> float | None:
-        return None if value is None else checked_number(name, value, above=0)
-
-    return _field(None, help, _Kind(checked, _number, "NUMBER"))
+    return Kind(checked, number_in, "|".join(texts))
 
 
-def _field(default: Any, help: str, kind: _Kind) -> Any:
-    return field(default=default, metadata={"help": help, "kind": kind})
+def number(**limits: Any) -> Kind:
+    """Return the kind of an option with a finite number, in the limits of `checked_number`."""
+    return Kind(partial(checked_number, **limits), number_in, "NUMBER", limits=limits)
 
 
-def _number(text: str) -> float | str:
+def numbers(names: str, *, is_whole: bool = False) -> Kind:
+    """Return the kind of an option with several finite numbers, separated by commas."""
+    return Kind(
+        lambda name, value: checked_numbers(name, value, names, is_whole=is_whole),
+        lambda text: [number_in(part) for part in text.split(",")],
+        names.replace(" ", ""),
+    )
+
+
+def number_in(text: str) -> float | str:
+    """Return the number that a text is; other text unchanged, which a check then refuses."""
     for kind in (int, float):
         try:
             return kind(text)
         except ValueError:
             continue
-    return text  # refused by the check
+    return text
+
+
+def option(
+    kind: Kind, help: str = "", *, default: Any = None, typed: Mapping[str, Any] | None = None
+) -> Any:
+    """Return the field of an option.
+
+    Parameters
+    ----------
+    kind : Kind
+        Its values. Without a default, None is one, too.
+    help : str
+        The help of commands. Without it, no command has the option.
+    default : object
+        Of the keyword. A flag whose default is True is an option of commands that switches it off.
+    typed : dict, optional
+        Arguments of `click.option` where commands differ: `names`, `metavar`, `default` and others.
+        With `has_range`, help shows the limits of a number.
+    """
+    return field(default=default, metadata={"kind": kind, "help": help, "typed": typed or {}})
+
+
+def _checked_nodata(_: str, value: Any) -> Any:
+    nodata_choice(value)
+    return value
+
+
+def _checked_tile_size(name: str, value: Any) -> int | str:
+    return "window" if value == "window" else checked_tile_size(name, value)
+
+
+NODATA = Kind(_checked_nodata, number_in, "number|only:number|none")
+TILE_SIZE = Kind(_checked_tile_size, number_in, "2ⁿ+1|window")
+WINDOW = numbers("row, col, n_rows, n_cols", is_whole=True)
+BOUNDS = numbers("left, bottom, right, top")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,74 +164,63 @@ class OptionSet:
     argument: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
-        for option in fields(self):
-            value = option.metadata["kind"].checked(option.name, getattr(self, option.name))
-            object.__setattr__(self, option.name, value)
+        for one in self.options():
+            value = getattr(self, one.name)
+            if value is not None or one.default is not None:
+                object.__setattr__(self, one.name, one.metadata["kind"].checked(one.name, value))
+
+    @classmethod
+    def options(cls) -> list[Field[Any]]:
+        """Return the fields that are options."""
+        return [one for one in fields(cls) if "kind" in one.metadata]
 
     @classmethod
     def names(cls) -> list[str]:
-        return [option.name for option in fields(cls)]
+        return [one.name for one in cls.options()]
 
     @classmethod
-    def from_words(cls, words: dict[str, str | None]) -> Self:
-        """Parse a set from words; a flag has no value."""
-        kinds = {option.name: option.metadata["kind"] for option in fields(cls)}
+    def from_words(cls, words: Mapping[str, str]) -> Self:
+        """Parse a set from words by name: NAME=VALUE, or NAME for a flag."""
+        kinds = {one.name: one.metadata["kind"] for one in cls.options()}
         values: dict[str, Any] = {}
         for name, word in words.items():
-            kind = kinds[name]
-            if word is None and kind.values:
+            kind, (_, sign, text) = kinds[name], word.partition("=")
+            if not sign and kind is not FLAG:
                 raise InvalidArgumentError(
                     f"found `{name}` without a value, expected `{name}`={kind.values}"
                 )
-            if word is not None and not kind.values:
+            if sign and kind is FLAG:
                 raise InvalidArgumentError(
-                    f"found `{name}`={word}, expected `{name}` alone, which switches it on"
+                    f"found `{name}`={text}, expected `{name}` alone, which switches it on"
                 )
-            value = values[name] = True if word is None else kind.read(word)
-            try:
-                kind.checked(name, value)
-            except InvalidArgumentError as error:
-                expected = error.args[0].rpartition(", expected ")[2]
-                raise InvalidArgumentError(f"found `{name}`={word}, expected {expected}") from None
+            values[name] = not sign or kind.from_text(text, f"`{name}`={text}")
         return cls(**values)
 
     @classmethod
     def described(cls) -> list[tuple[str, str]]:
-        """Return each option as on the command line, with its help."""
-        rows = []
-        for option in fields(cls):
-            values = option.metadata["kind"].values
-            rows.append((f"{option.name}={values}".rstrip("="), option.metadata["help"]))
-        return rows
+        """Return each option as -o takes it, with its help."""
+        return [
+            (f"{one.name}={one.metadata['kind'].values}".rstrip("="), one.metadata["help"])
+            for one in cls.options()
+        ]
+
+    def to_metadata(self) -> dict[str, Any]:
+        """Return the options that are set, as plain values for JSON."""
+        values = {name: getattr(self, name) for name in self.names()}
+        # Compared by identity: a bound of 0 equals False.
+        return {name: v for name, v in values.items() if v is not None and v is not False}
 
     def call(self) -> str:
         """Return the Python call that makes the set."""
         given = ", ".join(
-            f"{option.name}={getattr(self, option.name)!r}"
-            for option in fields(self)
-            if getattr(self, option.name) != option.default
+            f"{one.name}={getattr(self, one.name)!r}"
+            for one in self.options()
+            if getattr(self, one.name) != one.default
         )
         return f"tw.{type(self).__name__}({given})"
 
 
-def refuse_unknown(
-    name: str, argument: str, sets: Sequence[type[OptionSet]], *, given: str, found: str
-) -> None:
-    """Raise for an option that the set in use lacks; name the sets that have it.
-
-    Parameters
-    ----------
-    name, argument : str
-        Name of the option, and of the argument that takes a set.
-    sets : sequence of type
-        All sets.
-    given, found : str
-        The option and the set as the user has written them.
-
-    Raises
-    ------
-    InvalidArgumentError
-        Always.
-    """
-    having = one_of([each.name for each in sets if name in each.names()] or [""])
-    raise InvalidArgumentError(f"found {given} and {found}, expected `{argument}` {having}")
+def set_at(place: str) -> type[OptionSet]:
+    """Return the class of options at a place: its module and its name."""
+    module, name = place.rsplit(".", 1)
+    return cast(type[OptionSet], getattr(import_module(module), name))

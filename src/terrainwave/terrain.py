@@ -5,13 +5,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from terrainwave.arguments import (
-    check_choice,
     check_flags,
     checked_number,
-    checked_numbers,
-    checked_path,
-    checked_whole,
-    one_of,
     shown,
 )
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
@@ -304,53 +299,12 @@ class Terrain(TerrainFile):
             If neither a window nor OpenGL without a window is available; the message says what to
             install.
         """
+        given = {name: value for name, value in locals().items() if name != "self"}
         from terrainwave.render.look.style import Style
-        from terrainwave.render.modes import MODES, mode_class, options_of
-        from terrainwave.render.modes.neville import ORDERS
         from terrainwave.render.window.static import view
+        from terrainwave.render.window.view_options import ViewOptions
 
-        size = checked_numbers("size", size, "width, height", is_whole=True)
-        if min(size) < 1:
-            raise InvalidArgumentError(f"found `size` {shown(size)}, expected pixels >= 1")
-        max_pixel_error = checked_number("max_pixel_error", max_pixel_error, above=0)
-        check_flags(stepwise=stepwise, orientation=orientation)
-        check_choice("mode", mode, MODES)
-        check_choice("error", error, mode_class(mode).errors)
-        if detail is not None:
-            detail = checked_number("detail", detail, above=0)
-        if order is not None:
-            orders = one_of([*map(str, ORDERS)])
-            if checked_whole("order", order, expected=orders) not in ORDERS:
-                raise InvalidArgumentError(f"found `order` {order}, expected {orders}")
-        if tree is not None:
-            from terrainwave.render.modes.dynamic import checked_tree
-
-            tree = checked_tree(tree)
-        exaggeration = checked_number("exaggeration", exaggeration, above=0)
-        if radius is not None:
-            radius = checked_number("radius", radius, above=0)
-        if drape is not None:
-            drape = checked_path(drape, "drape")
-        if camera is not None and bounds is not None:
-            raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
-        if bounds is not None:
-            bounds = checked_numbers("bounds", bounds, "left, bottom, right, top")
-        if camera is not None and not isinstance(camera, str):
-            raise InvalidArgumentError(
-                f"found `camera` {shown(camera)}, expected x,y,z,heading,pitch,fov as a text"
-            )
-        if style is not None and not isinstance(style, Style):
-            raise InvalidArgumentError(f"found `style` {shown(style)}, expected a Style")
-        options_of(
-            mode, detail=detail, order=order, stepwise=stepwise, tree=tree, orientation=orientation
-        )  # raises for options that the mode lacks, before a window opens
-
-        return view(
-            self, size=size, camera=camera, bounds=bounds, style=style or Style(), mode=mode,
-            error=error, max_pixel_error=max_pixel_error, detail=detail, order=order,
-            stepwise=stepwise, tree=tree, orientation=orientation, drape=drape,
-            exaggeration=exaggeration, radius=radius,
-        )  # fmt: skip
+        return view(self, **vars(ViewOptions(**given)) | {"style": style or Style()})
 
     def explore(
         self,

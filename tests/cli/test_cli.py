@@ -693,7 +693,7 @@ def test_wrong_bound_is_wrong_usage(tmp_path, dem, bound):
         ("--method", "zip", "'auto'"),
         ("--effort", "huge", "'best'"),
         ("-o", "border_rings=2", "expected --method predictive, cdf97 or store"),
-        ("--nodata", "some", "expected a number or nan, only:NUMBER or none"),
+        ("--nodata", "some", "expected a number, or nan, only:NUMBER or none"),
         ("--band", "0", "x>=1"),
         ("--threads", "0", "x>=1"),
         ("--mesh", "rtin", "'halves'"),

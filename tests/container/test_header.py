@@ -190,7 +190,7 @@ CORRUPT = [
     (116, "I", 0, "top page of 0"),
     (116, "I", 2**15 + 1, "top page of 32769"),
     (120, "I", 1, "a mesh tolerance without meshes"),
-    (37, "B", 6, "has no coefficients"),
+    (37, "B", 6, "the mesh rqt-coefficient of method store, which has none"),
 ]
 
 

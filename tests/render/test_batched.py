@@ -273,7 +273,7 @@ def mu(request):
     ("options", "words"),
     [
         ({"detail": 1.0}, "expected error 'paper'"),
-        ({"detail": -1.0, "error": "paper"}, "expected a number > 0"),
+        ({"detail": -1.0, "error": "paper"}, "expected a finite number > 0"),
         ({"order": 3}, "expected 2 or 4"),
         ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
         ({"stepwise": True}, "expected mode dynamic or vertex-texture"),

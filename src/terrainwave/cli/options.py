@@ -1,9 +1,8 @@
 """Types of option values; a wrong value gives one line: found, expected."""
 
-import math
 import os
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from dataclasses import Field
 from typing import Any
 
 import click
@@ -11,20 +10,15 @@ from click.shell_completion import CompletionItem
 
 from terrainwave.arguments import (
     ARCHIVE_ENDING,
-    AS_IS,
-    BLOCKS,
-    VERTICAL,
     check_ending,
     check_local,
     checked_path,
-    nodata_choice,
 )
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import METHODS, SMALLEST_METHOD, methods_that
-from terrainwave.render.look.colorings import AUTO, NO_SEA
-
-TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
+from terrainwave.export import Shape
+from terrainwave.option_sets import FLAG, PATH, Kind, OptionSet, number
+from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
 
 def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
@@ -131,170 +125,87 @@ class NamedInput(Input):
         return self.named(value, param, ctx)
 
 
-class Finite(click.ParamType):
-    """A finite number."""
+class OfKind(click.ParamType):
+    """Values of a kind of options, typed as text."""
 
-    name = "number"
-    expected = "a finite number"
-
-    def holds(self, _: float) -> bool:
-        """Return whether a finite number is in the range of this type."""
-        return True
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not (math.isfinite(number) and self.holds(number)):
-            self.fail(f"found {value}, expected {self.expected}", param, ctx)
-        return number
-
-
-class SeaLevel(Finite):
-    """Height of the sea, or a word for one."""
-
-    name = "height"
-    expected = f"{AUTO}, {NO_SEA} or a height"
+    def __init__(self, kind: Kind) -> None:
+        self._kind = kind
+        self.name = kind.values
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        return value if value in (AUTO, NO_SEA) else super().convert(value, param, ctx)
+        if not isinstance(value, str):  # a default
+            return value
+        try:
+            return self._kind.from_text(value)
+        except InvalidArgumentError as error:
+            self.fail(str(error), param, ctx)
 
 
+class _Range(OfKind, click.FloatRange):
+    """A number whose limits the help shows."""
+
+    def __init__(self, kind: Kind) -> None:
+        limits = kind.limits
+        least = limits.get("least", limits.get("above"))
+        click.FloatRange.__init__(self, least, limits.get("most"), min_open="above" in limits)
+        self._kind = kind
+
+
+def declared(
+    options: type[OptionSet], first: str | None = None, last: str | None = None
+) -> Callable[[Any], Any]:
+    """Return a decorator that gives a command the options of a class, as its fields declare them.
+
+    Parameters
+    ----------
+    options : type
+        Fields without help are not for commands.
+    first, last : str, optional
+        The first and the last field to take; by default those of the class.
+    """
+    names = options.names()
+    start = 0 if first is None else names.index(first)
+    stop = None if last is None else names.index(last) + 1
+    taken = [one for one in options.options()[start:stop] if one.metadata["help"]]
+    return lambda command: add_options(command, *map(_declared, reversed(taken)))
+
+
+def _declared(one: Field[Any]) -> Callable[[Any], Any]:
+    kind, default, typed = one.metadata["kind"], one.default, {**one.metadata["typed"]}
+    given: dict[str, Any] = {"default": default, "show_default": True}
+    if kind is FLAG:
+        given = {"is_flag": True, "default": None if default is None else False}
+    elif kind.choices:
+        given["type"] = click.Choice(kind.choices)
+    elif kind is PATH:
+        given["type"] = Name()
+    else:
+        given["type"] = (_Range if typed.pop("has_range", False) else OfKind)(kind)
+    word = one.name.replace("_", "-")
+    if default is True:
+        word, given["callback"] = f"no-{word}", lambda _, __, value: not value
+    given |= {"names": [f"--{word}"]} | typed
+    return click.option(*given.pop("names"), one.name, help=one.metadata["help"], **given)
+
+
+# Types of options that several commands have.
+BOUND, POSITIVE, FINITE = OfKind(number(least=0)), OfKind(number(above=0)), OfKind(number())
 # For commands that make the page for browsers.
 PAGE_SEA_LEVEL_OPTION = click.option(
     "--sea-level",
-    type=SeaLevel(),
+    type=OfKind(SEA_LEVEL),
     default=AUTO,
     show_default=True,
     help="Height in metres below which the page's colours show water, or none. auto: 0 if there"
     " are heights below -450 m, else none.",
 )
-
-
-class Bound(Finite):
-    """A finite number >= 0."""
-
-    expected = "a finite number >= 0"
-
-    def holds(self, number: float) -> bool:
-        return number >= 0
-
-
-class Positive(Finite):
-    """A finite number > 0."""
-
-    expected = "a finite number > 0"
-
-    def holds(self, number: float) -> bool:
-        return number > 0
-
-
-class Nodata(click.ParamType):
-    """A number, nan, inf or -inf, only:NUMBER or none; whole numbers stay whole."""
-
-    name = "number|only:number|none"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int | float | str:
-        """Return an int if possible, else a float, or the text."""
-        for kind in (int, float):
-            with suppress(ValueError):
-                return kind(value)
-        try:
-            nodata_choice(value)
-        except InvalidArgumentError:
-            self.fail(f"found {value}, expected a number or nan, only:NUMBER or none", param, ctx)
-        return str(value)
-
-
-class BlockSide(click.ParamType):
-    """A power of two from 32 to 1024."""
-
-    name = "32…1024"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int:
-        if str(value) not in map(str, BLOCKS):
-            expected = ", ".join(map(str, BLOCKS))
-            self.fail(f"found {value}, expected one of {expected}", param, ctx)
-        return int(value)
-
-
-class TileSize(click.ParamType):
-    """2ⁿ + 1, or the word window."""
-
-    name = "2ⁿ+1|window"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> int | str:
-        """Return the number of samples on a side, or ``"window"``."""
-        if value == "window":
-            return "window"
-        if str(value) not in map(str, TILE_SIZES):
-            self.fail(
-                f"found {value}, expected 2^n + 1 from {TILE_SIZES[0]} to {TILE_SIZES[-1]}"
-                " (such as 1025) or window",
-                param,
-                ctx,
-            )
-        return int(value)
-
-
-class Numbers(click.ParamType):
-    """Comma-separated numbers, one for each name."""
-
-    def __init__(self, names: str, kind: type[int] | type[float]) -> None:
-        self.name = names
-        self._kind = kind
-        self._count = len(names.split(","))
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int | float, ...]:
-        if isinstance(value, tuple):
-            return value
-        try:
-            numbers = tuple(self._kind(part) for part in value.split(","))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != self._count or not all(math.isfinite(number) for number in numbers):
-            kind = "whole numbers" if self._kind is int else "numbers"
-            count = {2: "two", 4: "four"}.get(self._count, self._count)
-            self.fail(f"found {value}, expected {count} {kind}: {self.name}", param, ctx)
-        return numbers
-
-
 THREADS_OPTION = click.option(
     "--threads",
     type=click.IntRange(min=1),
     help="Number of threads. Default: all available processors.",
 )
-METHOD = click.Choice(["auto", *METHODS])
-CUTTABLE = methods_that(lambda method: method.is_cuttable)
-_EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
-EFFORT = (
-    f"Number of variants that the encoder tries: {'; '.join(_EFFORTS)}; other methods have one."
-    f" For archives: best without --method selects {SMALLEST_METHOD.name}, whose files are"
-    " 0.95 of the default's size (0.79 to 0.99), and are read 6 times as slowly."
-)
-RADIUS_OPTION = click.option(
-    "--radius",
-    type=Positive(),
-    metavar="METRES",
-    help="Radius of the planet or moon in metres, for coordinates in degrees. Default: the"
-    " ellipsoid of the CRS.",
-)
-
-
-def vertical_option(heights: str) -> Callable[[Any], Any]:
-    """Return the option --vertical, with help for these heights."""
-    return click.option(
-        "--vertical",
-        type=click.Choice(VERTICAL),
-        default=AS_IS,
-        show_default=True,
-        help=f"{heights}: used as heights above the ellipsoid without a change (as-is), or"
-        " converted from the CRS's vertical datum by PROJ's grid (ellipsoid).",
-    )
-
-
-VERTICAL_OPTION = vertical_option("Heights on the globe")
+RADIUS_OPTION = declared(Shape, "radius", "radius")
+VERTICAL_OPTION = declared(Shape, "vertical")
 LEVEL_OPTION = click.option(
     "--level",
     type=int,

@@ -32,6 +32,7 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
+    from terrainwave.option_sets import OptionSet
     from terrainwave.progress import Progress
 
 
@@ -99,19 +100,19 @@ def warnings_as_notes() -> Iterator[None]:
 
 
 @functools.cache
-def _own_options() -> set[str]:
-    """Return the names of options that -o takes."""
+def own_sets() -> list[type["OptionSet"]]:
+    """Return the classes of options that -o takes: of methods and of kinds of meshes."""
     from terrainwave.codec import method_options
     from terrainwave.names import MESH_KINDS, METHODS
     from terrainwave.tri import mesh_options
 
-    kinds = [*map(method_options.options_of, METHODS), *map(mesh_options.options_of, MESH_KINDS)]
-    return {name for kind in kinds if kind is not None for name in kind.names()}
+    kinds = filter(None, map(mesh_options.options_of, MESH_KINDS))
+    return [*map(method_options.options_of, METHODS), *kinds]
 
 
 def _option(argument: str) -> str:
     """Return the option for a function's argument."""
-    if argument in _own_options():
+    if any(argument in kind.names() for kind in own_sets()):
         return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
     names |= {"height_range": "--range"}

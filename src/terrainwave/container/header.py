@@ -483,12 +483,8 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
         yield _Violation(f"block is {header.block}, not 32 ... 1024")
     if header.border_rings not in (1, 3):
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
-    if header.border_rings != 1 and not METHODS[header.method].has_rings:
-        yield _Violation(f"border_rings is {header.border_rings}, not 1, of method {header.method}")
     if not 0 <= header.effort <= MAX_EFFORT:
         yield _Violation(f"effort is {header.effort}, not 0 ... 9{NEWER}", UnsupportedVersionError)
-    if header.mesh in UNBOUNDED_MESHES and not METHODS[header.method].is_tiled:
-        yield _Violation(f"the mesh is {header.mesh}, and {header.method} has no coefficients")
     numerator = header.quantum.numerator
     if not 0 < numerator <= MAX_QUANTUM_PART or header.quantum.denominator > MAX_QUANTUM_PART:
         yield _Violation(f"quantum {header.quantum} is not positive and of parts < 2^63")
@@ -510,18 +506,27 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
 
 def _violations_of_features(header: Header) -> Iterator[_Violation]:
     """Yield features that conflict with each other or with the method."""
-    if header.is_faithful and not METHODS[header.method].may_be_faithful:
-        yield _Violation(f"a faithful file of method {header.method}, which has none")
+    method = METHODS[header.method]
+    for is_used, is_known, what in (
+        (
+            header.border_rings != 1,
+            method.has_rings,
+            f"border_rings is {header.border_rings}, not 1,",
+        ),
+        (header.mesh in UNBOUNDED_MESHES, method.has_coefficients, f"the mesh {header.mesh}"),
+        (header.is_faithful, method.may_be_faithful, "a faithful file"),
+        (header.has_remainders, method.has_remainders, "remainders"),
+    ):
+        if is_used and not is_known:
+            yield _Violation(f"{what} of method {header.method}, which has none")
     if header.z_min > header.z_max and not header.has_voids:
         yield _Violation("no sample is valid, and none may be void")
-    if header.has_corrections and (not METHODS[header.method].is_patchable or header.step == 1):
+    if header.has_corrections and (not method.is_patchable or header.step == 1):
         what = f"corrections of method {header.method} and step {header.step}"
         yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")
-        if METHODS[header.method].is_tiled:
-            yield _Violation(f"remainders of method {header.method}, which has none")
         if header.effective_bound or header.step != 1:
             yield _Violation("remainders beside a step or a bound that is not 0")
     elif header.rho > header.max_error:

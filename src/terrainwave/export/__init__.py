@@ -1,1 +1,54 @@
 """Heights and meshes in the formats of other programs."""
+
+import os
+from dataclasses import dataclass
+
+from terrainwave.arguments import AS_IS, RADIUS_HELP, UPWARDS, VERTICAL, VERTICAL_HELP
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.option_sets import PATH, OptionSet, number, option, words
+
+FRAMES = ("local", "native", "ecef")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape(OptionSet):
+    """Form of a mesh in a file: options of `Mesh.save`, which describes them."""
+
+    frame: str | None = option(
+        words(*FRAMES),
+        "Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
+        " (ecef). Default: local where the CRS has degrees, else native.",
+    )
+    z_scale: float = option(number(above=0), "Multiply heights by this factor.", default=1.0)
+    solid: float | None = option(
+        number(),
+        "Write a watertight body with a flat base at this height, in the file's unit, to print.",
+    )
+    skirts: float | None = option(
+        number(above=0),
+        "Hang walls of this height, in the file's unit, from all borders. They hide gaps next to"
+        " meshes of another error.",
+        typed={"metavar": "HEIGHT"},
+    )
+    up: str | None = option(
+        words(*UPWARDS),
+        "Axis that points upwards. Default: y in .glb and .gltf, which allow no other, z in other"
+        " formats.",
+    )
+    drape: str | os.PathLike[str] | None = option(
+        PATH,
+        "Put a picture on the mesh, in .glb and .gltf: an orthophoto, warped to the terrain's CRS"
+        " (a file, a URL or the URL of tiles, https://.../{z}/{x}/{y}.png), or a picture without"
+        " coordinates, which covers the whole terrain.",
+        typed={"metavar": "IMAGE"},
+    )
+    radius: float | None = option(number(above=0), RADIUS_HELP, typed={"metavar": "METRES"})
+    vertical: str = option(words(*VERTICAL), f"Heights on the globe{VERTICAL_HELP}", default=AS_IS)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.solid is not None and self.skirts is not None:
+            raise InvalidArgumentError(
+                "found `solid` and `skirts`, expected one of them: the walls of a body reach its"
+                " base"
+            )

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS, check_choice, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.export import FRAMES
 from terrainwave.export.curvature import GlobeWay, curvature, mesh_unit, way_onto_globe
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.vertical import check_vertical, note_as_is
-
-FRAMES = ("local", "native", "ecef")
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import FILLINGS, checked_number, checked_whole
+from terrainwave.arguments import FILLINGS, MAX_TILE_SIZE, checked_number, checked_tile_size
 from terrainwave.container.spool import cannot_write, storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import (
@@ -34,19 +34,13 @@ from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.read.resample import bilinear_sums, weighted_means
 
-MAX_SIZE = 16385
-_MAX_SAMPLES = MAX_SIZE**2
+_MAX_SAMPLES = MAX_TILE_SIZE**2
 _HIGHEST = 65535
 _SMOOTHING_ROUNDS = 4
 # Beyond this the drawn shape changes visibly.
 _LARGEST_STRETCH = 0.005
 # Samples to read at a time: 32 MiB of float64.
 _BAND_SAMPLES = 4 << 20
-
-
-def is_tile_size(size: int) -> bool:
-    """Return whether `size` is 2ⁿ + 1, from 3 to `MAX_SIZE`."""
-    return 3 <= size <= MAX_SIZE and (size - 1) & (size - 2) == 0
 
 
 class _Quantized(NamedTuple):
@@ -137,16 +131,13 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
         if region.n_rows * region.n_cols > _MAX_SAMPLES:
             raise LimitExceededError(
                 f"the window holds {region.n_rows} x {region.n_cols} samples, more than"
-                f" {MAX_SIZE} x {MAX_SIZE}: take a smaller one or a size"
+                f" {MAX_TILE_SIZE} x {MAX_TILE_SIZE}: take a smaller one or a size"
             )
         return region.shape
     if size is None:
         power = 1 << (max(shorter - 1, 2).bit_length() - 1)
-        size = min(power + 1, MAX_SIZE)
-    expected = f"2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
-    side = checked_whole("size", size, expected=expected)
-    if not is_tile_size(side):
-        raise InvalidArgumentError(f"found `size` {side}, expected {expected}")
+        size = min(power + 1, MAX_TILE_SIZE)
+    side = checked_tile_size("size", size)
     return side, side
 
 

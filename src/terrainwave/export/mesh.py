@@ -86,21 +86,10 @@ class Mesh(MeshData):
             If the extension is unknown, an option does not fit, a package is missing, or the file
             cannot be written. No file remains.
         """
+        given = {name: value for name, value in locals().items() if name != "self"}
         from terrainwave.export.mesh_files import save_mesh
 
-        return save_mesh(
-            self,
-            path,
-            frame=frame,
-            z_scale=z_scale,
-            solid=solid,
-            skirts=skirts,
-            radius=radius,
-            vertical=vertical,
-            up=up,
-            drape=drape,
-            overwrite=overwrite,
-        )
+        return save_mesh(self, **given)
 
     def to_trimesh(self) -> Any:
         """Return a `trimesh.Trimesh` with these vertices, without `origin`; needs trimesh."""

@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from terrainwave._version import __version__
 from terrainwave.arguments import (
     AS_IS,
-    UPWARDS,
-    check_choice,
     check_ending,
     check_flags,
-    checked_path,
 )
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.export import Shape
 from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.gltf import GROUND_COLOR
@@ -55,81 +53,38 @@ _HALVINGS, _LESS = 5, 0.8
 Made = TypeVar("Made", bound=MeshData)
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Form of a mesh in a file: options of `save_mesh`, described there.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If two options conflict.
-    """
-
-    frame: str | None = None
-    z_scale: float = 1.0
-    solid: float | None = None
-    skirts: float | None = None
-    radius: float | None = None
-    vertical: str = AS_IS
-    up: str | None = None
-    drape: str | os.PathLike[str] | None = None
-
-    def check(self, extension: str) -> None:
-        """Raise `InvalidArgumentError` for options that conflict with others or with a format."""
-        if self.solid is not None and self.skirts is not None:
+def check_shape(shape: Shape, extension: str) -> None:
+    """Raise `InvalidArgumentError` for options that do not fit a format."""
+    if shape.drape is not None and (extension == TILE or not WRITERS[extension].has_picture):
+        raise InvalidArgumentError(
+            f"found `drape` for {extension}, expected a name that ends in .glb or .gltf: other"
+            " formats hold no picture"
+        )
+    if extension == TILE:
+        if replace(shape, radius=None, vertical=AS_IS) != Shape():
             raise InvalidArgumentError(
-                "found `solid` and `skirts`, expected one of them: the walls of a body reach its"
-                " base"
+                "a .terrain tile has a frame of its own: expected no `frame`, `z_scale`, `solid`,"
+                " `skirts` or `up`"
             )
-        if self.up is not None:
-            check_choice("up", self.up, UPWARDS)
-        if self.drape is not None:
-            checked_path(self.drape, "drape")
-            if extension == TILE or not WRITERS[extension].has_picture:
-                raise InvalidArgumentError(
-                    f"found `drape` for {extension}, expected a name that ends in .glb or .gltf:"
-                    " other formats hold no picture"
-                )
-        if extension == TILE:
-            if replace(self, radius=None, vertical=AS_IS) != Shape():
-                raise InvalidArgumentError(
-                    "a .terrain tile has a frame of its own: expected no `frame`, `z_scale`,"
-                    " `solid`, `skirts` or `up`"
-                )
-            return
-        if self.up is not None and self.frame == "ecef":
-            raise InvalidArgumentError(
-                f"found `up` {self.up} with `frame` ecef, expected none: no axis of geocentric"
-                " coordinates points upwards"
-            )
-        if self.up == "z" and WRITERS[extension].up == "y":
-            raise InvalidArgumentError(
-                f"found `up` z for {extension}, expected y or none: in glTF y points upwards, and"
-                " programs turn the mesh if theirs is another axis"
-            )
-
-    def is_on_globe(self, extension: str) -> bool:
-        """Return whether triangles are flat on a globe."""
-        return extension == TILE or self.frame == "ecef"
-
-    def axis_up(self, extension: str) -> str:
-        """Return the axis that points upwards in the file."""
-        return self.up or WRITERS[extension].up
+        return
+    if shape.up is not None and shape.frame == "ecef":
+        raise InvalidArgumentError(
+            f"found `up` {shape.up} with `frame` ecef, expected none: no axis of geocentric"
+            " coordinates points upwards"
+        )
+    if shape.up == "z" and WRITERS[extension].up == "y":
+        raise InvalidArgumentError(
+            f"found `up` z for {extension}, expected y or none: in glTF y points upwards, and"
+            " programs turn the mesh if theirs is another axis"
+        )
 
 
 def save_mesh(
     mesh: MeshData,
     path: str | os.PathLike[str],
     *,
-    frame: str | None = None,
-    z_scale: float = 1.0,
-    solid: float | None = None,
-    skirts: float | None = None,
-    radius: float | None = None,
-    vertical: str = AS_IS,
-    up: str | None = None,
-    drape: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
+    **options: Any,
 ) -> SavedMesh:
     """Write a mesh in the format of the extension of `path`.
 
@@ -141,18 +96,8 @@ def save_mesh(
         ``.glb``, ``.gltf`` hold float32, relative to an origin that the file states; ``.terrain``
         is one Cesium quantized-mesh tile over the mesh's bounds. The file appears complete or not
         at all.
-    frame, z_scale, radius, vertical
-        As in `to_frame`; a ``.terrain`` tile takes `vertical` too.
-    solid : float, optional
-        Close the mesh with walls and a flat base at this height, in the file's unit.
-    skirts : float, optional
-        Hang walls of this height, in the file's unit, from all borders; > 0.
-    up : {"y", "z"}, optional
-        The axis that points upwards in the file: with ``y`` the coordinates are (x, z, -y) of the
-        frame's. By default ``y`` in glTF, which has no other, and ``z`` in other formats.
-    drape : path, optional
-        A picture for a ``.glb`` or ``.gltf``, as for `raster_io.drape.texture_of`; a mesh that has
-        one (`with_texture`) keeps it.
+    options
+        Of `Shape`, as `Mesh.save` describes them.
     overwrite : bool
         Replace an existing file.
 
@@ -168,26 +113,28 @@ def save_mesh(
     """
     extension = check_extension(path)
     check_flags(overwrite=overwrite)
-    shape = Shape(frame, z_scale, solid, skirts, radius, vertical, up, drape)
-    shape.check(extension)
+    shape = Shape(**options)
+    check_shape(shape, extension)
     if extension == TILE:
         need("quantized_mesh_encoder", extra=EXTRA)
         from terrainwave.export.quantized_mesh import save_tile
 
-        return save_tile(mesh, path, radius=radius, vertical=vertical, overwrite=overwrite)
+        return save_tile(
+            mesh, path, radius=shape.radius, vertical=shape.vertical, overwrite=overwrite
+        )
     writer = WRITERS[extension]
     if writer.package is not None:
         need(writer.package, extra=EXTRA)
     framed, written, rounding = _to_write(mesh, extension, shape)
     about = describe(framed, framed.error + rounding)
     framed_file = replace(framed, vertices=written)
-    if shape.axis_up(extension) == "y":
+    if (shape.up or writer.up) == "y":
         framed_file = turned_y_up(framed_file)
         about["up"] = "y"
     if "uv" in framed.attributes:
         about["texture_bounds"] = list(mesh.area)
-    if drape is not None:
-        texture = with_texture(mesh, drape).attributes["texture"]
+    if shape.drape is not None:
+        texture = with_texture(mesh, shape.drape).attributes["texture"]
         attributes = framed_file.attributes | {"texture": texture}
         framed_file = replace(framed_file, attributes=attributes)
     # Libraries rely on numpy's default settings, which callers may have changed.
@@ -260,7 +207,7 @@ def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) 
     The options are those of `save_mesh`.
     """
     extension, shape = check_extension(path), Shape(**options)
-    shape.check(extension)
+    check_shape(shape, extension)
     if extension == TILE:
         from terrainwave.export.quantized_mesh import tile_rounding
 
@@ -299,7 +246,7 @@ def mesh_for_file(
         If the mesh has no position in the frame.
     """
     shape = Shape(**options)
-    is_on_globe = shape.is_on_globe(check_extension(path))
+    is_on_globe = check_extension(path) == TILE or shape.frame == "ecef"
 
     def try_error(error: float) -> tuple[Made, bool]:
         rounding_of = partial(file_rounding, path=path, **options)

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.mesh.mesh_data import MeshData
 
@@ -44,10 +43,10 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
-    expected = f"less than the mesh's lowest height {lowest:g}"
-    base = checked_number("solid", base, expected=expected)
     if base >= lowest:
-        raise InvalidArgumentError(f"found `solid` {base:g}, expected {expected}")
+        raise InvalidArgumentError(
+            f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
+        )
     vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)
     n_top = len(vertices)
@@ -91,13 +90,7 @@ def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> Me
     -------
     mesh : MeshData
         ``attributes["skirts"]`` holds its `Skirts`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `depth` is not above 0.
     """
-    depth = checked_number("skirts", depth, above=0)
     starts, ends = border_edges(mesh.triangles).T
     above, places = np.unique(np.concatenate([starts, ends]), return_inverse=True)
     below = mesh.vertices[above].copy()

@@ -25,8 +25,7 @@ from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.render.look.colorings import AUTO
-from terrainwave.render.look.style import check_sea_level
+from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
 _log = logging.getLogger(__name__)
 
@@ -104,7 +103,7 @@ def publish_site(
         If something cannot be read or written.
     """
     tiling.encoding_of(encoding)
-    check_sea_level(sea_level)
+    SEA_LEVEL.checked("sea_level", sea_level)
     with (
         ExitStack() as opened,
         publish_directory(directory, LIST, overwrite) as new,

@@ -435,7 +435,7 @@ class HeightScan:
         if max_error < smallest and may_have_remainders:
             return self._exact(finest, half_ulp)
         if max_error < smallest:
-            fit = methods_that(lambda method: not method.is_tiled)
+            fit = methods_that(lambda method: method.has_remainders)
             raise InvalidHeightsError(
                 "these heights lie on no common vertical grid, so this method cannot store them"
                 f" losslessly or this exactly: found `max_error` {float(max_error):g}, expected at"

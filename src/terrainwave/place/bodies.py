@@ -1,7 +1,10 @@
 """Bodies: the planet or moon of a CRS."""
 
-from terrainwave.place.description import Description
-from terrainwave.place.ellipsoid import Ellipsoid
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from terrainwave.place.description import Description
+    from terrainwave.place.ellipsoid import Ellipsoid
 
 EARTH, MOON, MARS, OTHER, UNKNOWN = "earth", "moon", "mars", "other", "unknown"
 # Bodies by NAIF number, the first digits of the IAU's codes: 49900 is Mars, a sphere.
@@ -14,7 +17,7 @@ _EARTH_RADIUS, _EARTH_SHARE = 6_375_000.0, 0.007
 _RADII = {MOON: (1.730e6, 1.745e6), MARS: (3.36e6, 3.42e6)}
 
 
-def body_of(description: Description | None, ellipsoid: Ellipsoid) -> str:
+def body_of(description: "Description | None", ellipsoid: "Ellipsoid") -> str:
     """Return the body of a CRS, by the IAU's code, else by the radius."""
     if description is not None and description.iau_code is not None:
         return _IAU.get(description.iau_code // 100, OTHER)

@@ -130,7 +130,7 @@ class Photo:
         shape: tuple[int, int],
         plain_on: Footprint | None = None,
     ) -> None:
-        self.is_tiled = is_tile_url(path)
+        self.has_tiles = is_tile_url(path)
         self._path, self._affine, self._shape = path, affine, shape
         self._lock = threading.Lock()
         self._file: Any = None
@@ -177,12 +177,12 @@ class Photo:
     @property
     def credit(self) -> str | None:
         """Return the server of the tiles; None for a file."""
-        return urlsplit(self._path).hostname if self.is_tiled else None
+        return urlsplit(self._path).hostname if self.has_tiles else None
 
     def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
         """Return width and height, in texels, of the whole photo within these limits."""
         _, _, n_cols, n_rows = self.place
-        max_side = min(max_side, _MOST_TILED) if self.is_tiled else max_side
+        max_side = min(max_side, _MOST_TILED) if self.has_tiles else max_side
         return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
 
     def whole(self, max_side: int, max_bytes: int) -> Drape:
@@ -204,7 +204,7 @@ class Photo:
         along, down = self._finer
         # Rounding must not add a texel.
         own = max(math.ceil(n_cols * along - 1e-6), 1), max(math.ceil(n_rows * down - 1e-6), 1)
-        if self.is_tiled:
+        if self.has_tiles:
             own = _size(*own, _MOST_TILED, _MOST_TILED**2 * _TEXEL_BYTES)
         width, height = (min(1 << (side - 1).bit_length(), max_side) for side in own)
         return self.part((0.0, 0.0, n_cols, n_rows), (width, height)), own

@@ -207,7 +207,7 @@ def with_coefficients(decoder: TreeDecoder) -> Tiles:
     if not isinstance(decoder.source, Tiles):
         raise InvalidArgumentError(
             "the file has no coefficients of a 5/3 wavelet; those of method"
-            f" {methods_that(lambda method: method.is_tiled)} have"
+            f" {methods_that(lambda method: method.has_coefficients)} have"
         )
     return decoder.source
 

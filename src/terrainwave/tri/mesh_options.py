@@ -1,12 +1,12 @@
 """Options of kinds of meshes, and the kinds that files store."""
 
 from dataclasses import dataclass
-from importlib import import_module
+from typing import cast
 
 from terrainwave.arguments import check_choice, shown
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS, Method
-from terrainwave.option_sets import OptionSet
+from terrainwave.option_sets import OptionSet, set_at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,12 +35,8 @@ class MeshOptions(OptionSet):
 
 def options_of(name: str) -> type[MeshOptions] | None:
     """Return the class of the options of a kind of meshes; None for one without."""
-    place = MESH_KINDS.get(name, "")
-    if not place:
-        return None
-    module, kind = place.rsplit(".", 1)
-    found: type[MeshOptions] = getattr(import_module(f"terrainwave.tri.{module}"), kind)
-    return found
+    place = MESH_KINDS.get(name)
+    return cast(type[MeshOptions], set_at(f"terrainwave.tri.{place}")) if place else None
 
 
 def check_mesh(mesh: object, *, or_none: bool) -> None:

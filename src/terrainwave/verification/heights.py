@@ -433,7 +433,7 @@ class _Comparison:
         """Return whether the file must keep every bit, including that of -0.0."""
         method = METHODS[self._terrain.info().method]
         is_exact = self._terrain.max_error == 0 == self._bound
-        return self._dtype.kind == "f" and is_exact and not method.is_tiled
+        return self._dtype.kind == "f" and is_exact and method.has_remainders
 
     def _mask_problems(self, report: ErrorReport, n_taken: int) -> Iterator[str]:
         if report.n_mask_differences:

@@ -1,25 +1,46 @@
 """`Options`: the options of `compress`, checked when they are made."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from terrainwave.arguments import (
-    BLOCKS,
-    check_flags,
-    checked_error,
-    checked_number,
-    checked_threads,
-    checked_whole,
-    shown,
+from terrainwave.arguments import BLOCKS, checked_numbers, checked_threads
+from terrainwave.codec.method_options import (
+    EFFORT_HELP,
+    METHOD_HELP,
+    MethodChoice,
+    MethodOptions,
+    chosen,
+    with_method,
 )
-from terrainwave.codec.method_options import MethodChoice, MethodOptions, chosen, with_method
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import DEFAULT_EFFORT, DEFAULT_MESH, EFFORTS, Method, methods_that
+from terrainwave.names import (
+    DEFAULT_EFFORT,
+    DEFAULT_MESH,
+    EFFORTS,
+    MESH_KINDS,
+    METHODS,
+    Method,
+)
+from terrainwave.option_sets import FLAG, Kind, OptionSet, number, numbers, option, whole, words
 from terrainwave.tri.mesh_options import MeshOptions, check_mesh, stored_mesh
 
 
+def _checked_range(name: str, found: Any) -> tuple[float, float]:
+    low, high = checked_numbers(name, found, "low,high")
+    if low > high:
+        raise InvalidArgumentError(
+            f"found `{name}` from {low:g} to {high:g}, expected the lower one first"
+        )
+    return low, high
+
+
+def _checked_mesh(_: str, mesh: Any) -> Any:
+    check_mesh(mesh, or_none=True)
+    return mesh
+
+
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class Options(OptionSet):
     """Options of `compress`; its docstring describes them.
 
     After construction `method` holds the method's own options, and `mesh_kind` the kind of meshes
@@ -31,100 +52,102 @@ class Options:
         If an option, or a combination, is invalid; the message says what was found and expected.
     """
 
-    max_error: float | None = None
-    method: str | MethodOptions = "auto"
-    block: int = 256
-    effort: str = DEFAULT_EFFORT
-    mesh: str | MeshOptions = "auto"
-    mesh_error: float | None = None
-    measure_meshes: bool = False
-    height_range: tuple[float, float] | None = None
-    strict: bool = False
-    stable: bool = False
-    keep_origin: bool = False
-    digest: bool | None = None
-    verify: bool = True
-    threads: int | None = None
+    max_error: float | None = option(
+        number(least=0),
+        "Largest allowed error, in the raster's vertical unit; 0 is lossless."
+        " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise"
+        " 0.01 m, or a 10,000th of the range of heights that span little or are in no unit of"
+        " length; a note says which.",
+    )
+    method: str | MethodOptions = option(
+        Kind(lambda _, method: method, choices=("auto", *METHODS)),  # checked with the effort
+        METHOD_HELP,
+        default="auto",
+    )
+    effort: str = option(words(*EFFORTS), EFFORT_HELP, default=DEFAULT_EFFORT)
+    mesh: str | MeshOptions = option(
+        Kind(_checked_mesh, choices=(*MESH_KINDS, "none")),
+        "Kind of the meshes of all blocks.",
+        default="auto",
+        typed={"default": DEFAULT_MESH},
+    )
+    mesh_error: float | None = option(
+        number(least=0),
+        "Largest distance of the finest meshes from the decoded heights. Default: the guaranteed"
+        " error, or the heights' vertical step if that is larger.",
+    )
+    measure_meshes: bool = option(
+        FLAG,
+        "Make all meshes and store their distances from the original. Default: an error bound is"
+        " computed with each mesh. Kinds other than halves are always measured.",
+        default=False,
+    )
+    height_range: tuple[float, float] | None = option(
+        Kind(_checked_range, numbers("low,high").read, "low,high"),
+        "Range of heights that later patches may need: patch refuses heights outside it. Default:"
+        " the raster's range.",
+        typed={"names": ["--range"]},
+    )
+    strict: bool = option(
+        FLAG,
+        "Floats with a decimal step (0.01 …): the stored floats are within the bound, not only the"
+        " decimal numbers that they stand for. Files become larger.",
+        default=False,
+    )
+    stable: bool = option(
+        FLAG,
+        "Round heights to fixed steps, which follow from --max-error and the raster's type."
+        " Heights then do not change when you decompress them and compress them again with the"
+        " same bound. Files become larger.",
+        default=False,
+    )
+    block: int = option(
+        whole(*BLOCKS),
+        "Cells on each side of a block.",
+        default=256,
+        typed={"metavar": "32…1024"},
+    )
+    digest: bool | None = option(
+        FLAG,
+        "Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
+        " their root. Default: yes, unless --no-verify.",
+        typed={"names": ["--digest/--no-digest"]},
+    )
+    verify: bool = option(
+        FLAG, "Do not decode and compare every sample; the file says so.", default=True
+    )
+    keep_origin: bool = option(FLAG, default=False)
+    threads: int | None = option(Kind(lambda _, threads: checked_threads(threads)))
     mesh_kind: str = ""
     choice: MethodChoice = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        blocks = f"one of {', '.join(map(str, BLOCKS))}"
-        checked: dict[str, Any] = {
-            "max_error": checked_error("max_error", self.max_error),
-            "mesh_error": checked_error("mesh_error", self.mesh_error),
-            "block": checked_whole("block", self.block, expected=blocks),
-        }
-        if self.height_range is not None:
-            checked["height_range"] = _checked_range(self.height_range)
-        if checked["block"] not in BLOCKS:
-            raise InvalidArgumentError(f"found `block` {checked['block']}, expected {blocks}")
-        if self.threads is not None:
-            checked["threads"] = checked_threads(self.threads)
-        flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
-        check_flags(**{name: getattr(self, name) for name in flags})
-        if self.digest is not None:
-            check_flags(digest=self.digest)
+        super().__post_init__()
         if self.digest and not self.verify:
             raise InvalidArgumentError(
                 "found `digest` without `verify`, expected both: digests are those of heights that"
                 " the proof decodes"
             )
         choice = chosen(self.method, self.effort)
-        checked |= {"method": choice.own, "effort": choice.effort, "choice": choice}
-        if not self.mesh_kind:
-            check_mesh(self.mesh, or_none=True)
-            checked["mesh_kind"] = stored_mesh(
-                self.mesh, choice.own.method, is_faithful=getattr(choice.own, "faithful", False)
-            )
-        for name, value in checked.items():
+        kind = self.mesh_kind or stored_mesh(
+            self.mesh, choice.own.method, is_faithful=choice.own.is_faithful
+        )
+        made = {"method": choice.own, "effort": choice.effort, "choice": choice, "mesh_kind": kind}
+        for name, value in made.items():
             object.__setattr__(self, name, value)
-        self._check_goals()
-
-    def _check_goals(self) -> None:
-        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits."""
-        cuts = [name for name in ("rate", "psnr") if getattr(self, name) is not None]
-        if cuts and self.max_error is not None:
-            raise InvalidArgumentError(
-                f"found `max_error` and `{cuts[0]}`, expected one of them: a stream is cut in one"
-                " place"
-            )
-        if cuts and self.strict:
-            raise InvalidArgumentError(
-                f"found `strict` and `{cuts[0]}`, expected `max_error`: there is no other bound to"
-                " keep strictly"
-            )
-        if cuts and self.height_range is not None:
-            raise InvalidArgumentError(
-                f"found `height_range` and `{cuts[0]}`, expected one of them: streams that are cut"
-                " cannot be patched"
-            )
-        if not self.stable:
-            return
-        if self.max_error is None:
+        if self.stable and self.max_error is None and not choice.own.goal:
             raise InvalidArgumentError(
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        if self.named_method.is_tiled or self.faithful:
-            fit = methods_that(lambda method: not method.is_tiled)
-            found = "`faithful`" if self.faithful else f"`method` {self.named_method.name}"
-            raise InvalidArgumentError(
-                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
-                " round heights in ways of their own"
-            )
+        choice.own.check_beside(super().to_metadata())
 
     def to_metadata(self) -> dict[str, Any]:
         """Return the options that affect files or the proof, as plain values for JSON."""
-        values = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
-        values |= {name: getattr(self, name) for name in _OF_METHODS}
-        values |= {"method": self.named_method.name, "mesh": values.pop("mesh_kind")}
-        return {
-            name: value
-            for name, value in values.items()
-            # Compared by identity: a bound of 0 equals False.
-            if name not in ("threads", "keep_origin") and value is not None and value is not False
-        }
+        values = super().to_metadata() | {"border_rings": self.border_rings}
+        values |= self.choice.own.to_metadata()
+        values |= {"method": self.named_method.name, "mesh": self.mesh_kind}
+        return {name: values[name] for name in values if name not in ("threads", "keep_origin")}
 
     def with_method(self, method: Method, mesh: str) -> "Options":
         """Return the options with another method and other stored meshes."""
@@ -151,7 +174,7 @@ class Options:
     @property
     def faithful(self) -> bool:
         """Return whether the file follows its method's paper."""
-        return getattr(self.method, "faithful", False)
+        return self.choice.own.is_faithful
 
     @property
     def rate(self) -> float | None:
@@ -171,7 +194,7 @@ class Options:
     @property
     def is_embedded(self) -> bool:
         """Return whether streams are cut by size or mean error instead of by a bound."""
-        return self.rate is not None or self.psnr is not None
+        return bool(self.choice.own.goal)
 
     @property
     def n_threads(self) -> int:
@@ -191,40 +214,7 @@ class Options:
             notes.append("the mesh error changes nothing: the file gets no meshes")
         if self.measure_meshes and self.mesh_kind == "none":
             notes.append("measuring meshes changes nothing: the file gets no meshes")
-        if self.effort == DEFAULT_EFFORT:
-            return notes
-        if self.faithful:
-            return [
-                *notes,
-                f"effort {self.effort} changes nothing: faithful files have one wavelet step",
-            ]
-        if self.named_method.effort:
-            return notes
-        return [
-            *notes,
-            f"effort {self.effort} changes nothing: method {self.named_method.name} has no efforts",
-        ]
-
-
-# Options of methods that `to_metadata` adds to the fields of `Options`.
-_OF_METHODS = ("rate", "psnr", "border_rings", "faithful")
-
-
-def _checked_range(found: Any) -> tuple[float, float]:
-    """Return the lowest and the highest height that the file must be able to hold.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If they are not two finite numbers in this order.
-    """
-    if not isinstance(found, tuple | list) or len(found) != 2:
-        raise InvalidArgumentError(
-            f"found `height_range` {shown(found)}, expected the lowest and the highest height"
-        )
-    low, high = (checked_number("height_range", end) for end in found)
-    if low > high:
-        raise InvalidArgumentError(
-            f"found `height_range` from {low:g} to {high:g}, expected the lower one first"
-        )
-    return low, high
+        reason = self.choice.own.without_efforts
+        if reason and self.effort != DEFAULT_EFFORT:
+            notes.append(f"effort {self.effort} changes nothing: {reason}")
+        return notes

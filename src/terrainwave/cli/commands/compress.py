@@ -12,16 +12,12 @@ from terrainwave.arguments import TWZ_ENDINGS
 from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.options import (
-    EFFORT,
-    METHOD,
-    BlockSide,
-    Bound,
     Input,
-    Nodata,
-    Numbers,
+    OfKind,
     Target,
     batched,
     complete_files,
+    declared,
     resumable,
     writing,
 )
@@ -42,80 +38,22 @@ from terrainwave.cli.own_options import (
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.names import (
-    DEFAULT_EFFORT,
-    DEFAULT_MESH,
-    DEFAULT_METHOD,
-    EFFORTS,
-    MESH_KINDS,
-    SMALLEST_METHOD,
-)
+from terrainwave.option_sets import NODATA
 from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
+from terrainwave.write.compress_options import Options
 
 
 @click.command(cls=CommandWithOwnOptions)
 @click.argument("paths", nargs=-1, metavar="SOURCE... TARGET", shell_complete=complete_files)
-@click.option(
-    "--max-error",
-    type=Bound(),
-    help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
-    " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise 0.01 m,"
-    " or a 10,000th of the range of heights that span little or are in no unit of length; a note"
-    " says which.",
-)
-@click.option(
-    "--method",
-    type=METHOD,
-    default="auto",
-    show_default=True,
-    help=f"auto is {DEFAULT_METHOD.name}; with --effort best it is {SMALLEST_METHOD.name}.",
-)
-@click.option(
-    "--effort", type=click.Choice(EFFORTS), default=DEFAULT_EFFORT, show_default=True, help=EFFORT
-)
-@click.option("--mesh", type=click.Choice([*MESH_KINDS, "none"]), default=DEFAULT_MESH,
-              show_default=True, help="Kind of the meshes of all blocks.")  # fmt: skip
+@declared(Options, last="mesh")
 @own_option(
     "Set an option of the method or of the kind of meshes. To list them, add"
     " --method METHOD or --mesh KIND before --help."
 )
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
-@click.option(
-    "--mesh-error",
-    type=Bound(),
-    help="Largest distance of the finest meshes from the decoded heights. Default: the guaranteed"
-    " error, or the heights' vertical step if that is larger.",
-)
-@click.option(
-    "--measure-meshes",
-    is_flag=True,
-    help="Make all meshes and store their distances from the original. Default: an error bound is"
-    " computed with each mesh. Kinds other than halves are always measured.",
-)
-@click.option(
-    "--range",
-    "height_range",
-    type=Numbers("low,high", float),
-    help="Range of heights that later patches may need: patch refuses heights outside it. Default:"
-    " the raster's range.",
-)
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Floats with a decimal step (0.01 …): the stored floats are within the bound, not only the"
-    " decimal numbers that they stand for. Files become larger.",
-)
-@click.option(
-    "--stable",
-    is_flag=True,
-    help="Round heights to fixed steps, which follow from --max-error and the raster's type."
-    " Heights then do not change when you decompress them and compress them again with the same"
-    " bound. Files become larger.",
-)
-@click.option("--block", type=BlockSide(), default=256, show_default=True,
-              help="Cells on each side of a block.")  # fmt: skip
-@click.option("--nodata", type=Nodata(),
+@declared(Options, "mesh_error", "block")
+@click.option("--nodata", type=OfKind(NODATA),
               help="Value that marks voids, besides the raster's own; only:V replaces"
                    " that, none drops it.")  # fmt: skip
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True,
@@ -132,15 +70,7 @@ from terrainwave.progress import ProgressCallback
     " stored unchanged and converted to heights on the globe, in meshes and in views. Default:"
     " from the raster's metadata.",
 )
-@click.option(
-    "--digest/--no-digest",
-    default=None,
-    help="Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
-    " their root. Default: yes, unless --no-verify.",
-)
-@click.option(
-    "--no-verify", is_flag=True, help="Do not decode and compare every sample; the file says so."
-)
+@declared(Options, "digest")
 @resumable
 @click.option(
     "--scheduler",
@@ -155,7 +85,6 @@ def compress(
     own: tuple[str, ...],
     no_mesh: bool,
     no_georeference: bool,
-    no_verify: bool,
     to: str | None,
     skip_existing: bool,
     **options: Any,
@@ -177,7 +106,7 @@ def compress(
             raise click.UsageError("found --no-mesh and --mesh, expected one of them")
         options["mesh"] = "none"
     options = with_own_options(own, options)
-    options |= {"georeference": not no_georeference, "verify": not no_verify}
+    options["georeference"] = not no_georeference
     if to is None:
         _compress(*_sources_and_target(paths), **options)
     else:
@@ -256,16 +185,13 @@ def _compress_each(
     )  # fmt: skip
 
 
-# Options of the source and of the run, which do not belong to the file.
+# Options of the source.
 _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
-_OF_RUN = ("temp_dir", "overwrite", "threads", "fresh")
 
 
-def _asked(options: dict[str, Any]) -> Any:
+def _asked(options: dict[str, Any]) -> Options:
     """Return the options of the file, checked."""
-    from terrainwave.write.compress_options import Options
-
-    return Options(**{name: options[name] for name in options.keys() - {*_OF_SOURCE, *_OF_RUN}})
+    return Options(**{name: options[name] for name in options.keys() & {*Options.names()}})
 
 
 def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
@@ -273,7 +199,7 @@ def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
     from terrainwave.raster_io.files import files_of
     from terrainwave.write.origin import difference
 
-    of_files = {name: value for name, value in options.items() if name not in _OF_RUN}
+    of_files = {name: options[name] for name in options.keys() & {*Options.names(), *_OF_SOURCE}}
     source = {name: options[name] for name in _OF_SOURCE} | {"nodata": repr(options["nodata"])}
     return Manifest(
         directory,

@@ -26,14 +26,12 @@ from terrainwave.cli.batch import (
 from terrainwave.cli.descriptors import without_lines_of_libtiff
 from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
-    CUTTABLE,
     LEVEL_OPTION,
+    POSITIVE,
     VERTICAL_OPTION,
     Input,
-    Numbers,
-    Positive,
+    OfKind,
     Target,
-    TileSize,
     batched,
     check_one_area,
     complete_files,
@@ -49,6 +47,8 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.names import methods_that
+from terrainwave.option_sets import BOUNDS, TILE_SIZE, WINDOW
 from terrainwave.progress import ProgressCallback
 
 if TYPE_CHECKING:
@@ -59,22 +59,21 @@ if TYPE_CHECKING:
 @click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
 @click.option(
     "--window",
-    type=Numbers("row,col,n_rows,n_cols", int),
+    type=OfKind(WINDOW),
     help="Part to write, in samples.",
 )
-@click.option(
-    "--bounds", type=Numbers("left,bottom,right,top", float), help="Part to write, in the CRS."
-)
+@click.option("--bounds", type=OfKind(BOUNDS), help="Part to write, in the CRS.")
 @LEVEL_OPTION
 @click.option(
     "--quality",
-    type=Positive(),
-    help=f"Read only this number of bits per sample, of a file of method {CUTTABLE}.",
+    type=POSITIVE,
+    help="Read only this number of bits per sample, of a file of method"
+    f" {methods_that(lambda method: method.is_cuttable)}.",
 )
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
     "--size",
-    type=TileSize(),
+    type=OfKind(TILE_SIZE),
     help="Samples on each side of a height tile, 2^n + 1. The command resamples the window to this"
     " square. Default: the largest that fits into the window. window: the samples of the window.",
 )

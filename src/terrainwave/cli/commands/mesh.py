@@ -1,25 +1,21 @@
 """Command mesh: a mesh of a .twz file, or a copy of the file with meshes."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, UPWARDS, check_ending, count_of
+from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
+    BOUND,
     LEVEL_OPTION,
-    RADIUS_OPTION,
-    VERTICAL_OPTION,
-    Bound,
-    Finite,
     Input,
-    Name,
-    Numbers,
-    Positive,
+    OfKind,
     check_one_area,
     complete_files,
+    declared,
     writing,
 )
 from terrainwave.cli.output import (
@@ -39,7 +35,9 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export import Shape
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS
+from terrainwave.option_sets import BOUNDS, WINDOW
 
 # Options for --store, for --store and for separate meshes alike, and for separate meshes with a
 # goal.
@@ -55,7 +53,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @click.argument("target", shell_complete=complete_files)
 @click.option(
     "--max-error",
-    type=Bound(),
+    type=BOUND,
     help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
     " unit; in --frame ecef and .terrain with the curvature of the globe. Default: use the stored"
     " meshes and their error.",
@@ -63,8 +61,8 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @click.option("--max-triangles", type=click.IntRange(min=1), metavar="N",
               help="Make the mesh of smallest error with at most N triangles.")  # fmt: skip
 @LEVEL_OPTION
-@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
-@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option("--window", type=OfKind(WINDOW), help="Part, in samples.")
+@click.option("--bounds", type=OfKind(BOUNDS), help="Part, in the CRS.")
 @click.option(
     "--optimise/--no-optimise",
     default=True,
@@ -77,47 +75,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
     help="Write only the triangulation of the zero trees, without a guaranteed error (Yusov &"
     " Turlapov 2010, §2.4); its error is measured. --level -2 (default) is the finest.",
 )
-@click.option(
-    "--frame",
-    type=click.Choice(["local", "native", "ecef"]),
-    help="Coordinates: metres from the middle (local), those of the CRS (native), or geocentric"
-    " (ecef). Default: local where the CRS has degrees, else native.",
-)
-@click.option(
-    "--z-scale",
-    type=Positive(),
-    default=1.0,
-    show_default=True,
-    help="Multiply heights by this factor.",
-)
-@click.option(
-    "--solid",
-    type=Finite(),
-    help="Write a watertight body with a flat base at this height, in the file's unit, to print.",
-)
-@click.option(
-    "--skirts",
-    type=Positive(),
-    metavar="HEIGHT",
-    help="Hang walls of this height, in the file's unit, from all borders. They hide gaps next to"
-    " meshes of another error.",
-)
-@click.option(
-    "--up",
-    type=click.Choice(UPWARDS),
-    help="Axis that points upwards. Default: y in .glb and .gltf, which allow no other, z in other"
-    " formats.",
-)
-@click.option(
-    "--drape",
-    type=Name(),
-    metavar="IMAGE",
-    help="Put a picture on the mesh, in .glb and .gltf: an orthophoto, warped to the terrain's CRS"
-    " (a file, a URL or the URL of tiles, https://.../{z}/{x}/{y}.png), or a picture without"
-    " coordinates, which covers the whole terrain.",
-)
-@RADIUS_OPTION
-@VERTICAL_OPTION
+@declared(Shape)
 @click.option(
     "--lods",
     type=click.IntRange(1, MOST_LODS),
@@ -142,7 +100,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 )
 @click.option(
     "--mesh-error",
-    type=Bound(),
+    type=BOUND,
     help="With --store: largest distance of the finest meshes from the decoded heights. Default: as"
     " for compress.",
 )
@@ -237,9 +195,7 @@ def _export_mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
-    from terrainwave.export.mesh_files import Shape
-
-    shape = {field.name: options.pop(field.name) for field in fields(Shape)}
+    shape = {name: options.pop(name) for name in Shape.names()}
     check_one_area(options)
     _check_shape(target, shape)
     if lods is not None:
@@ -265,7 +221,7 @@ def _export_mesh(
 
 def _check_shape(target: str, shape: dict[str, Any]) -> None:
     """Raise for options that conflict with others or with the format; reads no file."""
-    from terrainwave.export.mesh_files import Shape, check_extension
+    from terrainwave.export.mesh_files import check_extension, check_shape
 
     try:
         extension = check_extension(target)
@@ -276,7 +232,7 @@ def _check_shape(target: str, shape: dict[str, Any]) -> None:
             "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
             " coordinates keep the file's datum"
         )
-    Shape(**shape).check(extension)
+    check_shape(Shape(**shape), extension)
 
 
 def _save_mesh(

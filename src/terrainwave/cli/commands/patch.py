@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.options import THREADS_OPTION, Input, NamedInput, Nodata, resumable
+from terrainwave.cli.options import THREADS_OPTION, Input, NamedInput, OfKind, resumable
 from terrainwave.cli.output import (
     Bar,
     Command,
@@ -18,13 +18,15 @@ from terrainwave.cli.output import (
     reading,
     unit_behind,
 )
+from terrainwave.option_sets import NODATA
 from terrainwave.place.meaning import KINDS
 
 
 @click.command(cls=Command)
 @click.argument("file", type=NamedInput())
 @click.argument("new", type=Input())
-@click.option("--nodata", type=Nodata(), help="Value that marks voids of NEW, as for compress.")
+@click.option("--nodata", type=OfKind(NODATA),
+              help="Value that marks voids of NEW, as for compress.")  # fmt: skip
 @click.option(
     "--heights-are",
     type=click.Choice(KINDS),

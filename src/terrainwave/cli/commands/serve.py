@@ -13,12 +13,11 @@ from typing import Any
 import click
 
 from terrainwave import interrupts
-from terrainwave.arguments import count_of
+from terrainwave.arguments import AS_IS, VERTICAL, VERTICAL_HELP, count_of
 from terrainwave.cli.options import (
     PAGE_SEA_LEVEL_OPTION,
     RADIUS_OPTION,
     NamedInput,
-    vertical_option,
 )
 from terrainwave.cli.output import (
     CommandWithoutTarget,
@@ -73,7 +72,8 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at the same time.")  # fmt: skip
 @RADIUS_OPTION
-@vertical_option("Heights of NAME/mesh")
+@click.option("--vertical", type=click.Choice(VERTICAL), default=AS_IS, show_default=True,
+              help=f"Heights of NAME/mesh{VERTICAL_HELP}")  # fmt: skip
 @click.option(
     "--encoding",
     type=click.Choice(TILE_ENCODINGS),

@@ -9,11 +9,11 @@ import click
 
 from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
 from terrainwave.cli.options import (
+    FINITE,
     RADIUS_OPTION,
     THREADS_OPTION,
     VERTICAL_OPTION,
     Directory,
-    Finite,
     Input,
 )
 from terrainwave.cli.output import (
@@ -54,7 +54,7 @@ from terrainwave.names import TILE_ENCODINGS
 )
 @click.option(
     "--void-height",
-    type=Finite(),
+    type=FINITE,
     help="Height of voids and of places that the raster does not cover, in metres above the"
     " ellipsoid. Default: voids are holes, and other places lie at 0; for .pmtiles all lie 1 m"
     " below the lowest height.",

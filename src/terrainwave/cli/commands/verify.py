@@ -9,7 +9,7 @@ from click.core import ParameterSource
 from terrainwave.arguments import TWZ_ENDINGS, count_of
 from terrainwave.cli.batch import Done, FileJob, find_original, finish, run, with_files_of_folders
 from terrainwave.cli.commands.info import files_before
-from terrainwave.cli.options import THREADS_OPTION, Bound, Input, Nodata, complete_files
+from terrainwave.cli.options import BOUND, THREADS_OPTION, Input, OfKind, complete_files
 from terrainwave.cli.output import (
     Bar,
     CommandWithoutTarget,
@@ -22,6 +22,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.container.sources.addresses import display_name
+from terrainwave.option_sets import NODATA
 from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
 
@@ -34,11 +35,11 @@ from terrainwave.progress import ProgressCallback
     metavar="DIR",
     help="Folder with the rasters of several FILEs, by the same names.",
 )
-@click.option("--max-error", type=Bound(), help="Check this bound instead of the file's own.")
+@click.option("--max-error", type=BOUND, help="Check this bound instead of the file's own.")
 @click.option(
     "--band", type=click.IntRange(min=1), default=1, show_default=True, help="Band of ORIGINAL."
 )
-@click.option("--nodata", type=Nodata(), help="Value that marks voids of ORIGINAL.")
+@click.option("--nodata", type=OfKind(NODATA), help="Value that marks voids of ORIGINAL.")
 @click.option("--heights-are", type=click.Choice(KINDS),
               help="Meaning of ORIGINAL's numbers. Default: from its metadata.")  # fmt: skip
 @click.option("--part", is_flag=True,

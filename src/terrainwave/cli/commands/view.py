@@ -5,7 +5,6 @@ from typing import Any
 import click
 
 from terrainwave.cli.drawing import (
-    POSITIVE,
     announce_preparation,
     drawing,
     style_of,
@@ -21,7 +20,7 @@ from terrainwave.extras import with_extra
 @drawing
 @click.option(
     "--target-ms",
-    type=POSITIVE,
+    type=click.FloatRange(min=0, min_open=True),
     help="Raise the pixel error if a frame takes longer than this, in milliseconds.",
 )
 @click.option("--fullscreen", is_flag=True, help="Fill the screen.")

@@ -1,10 +1,19 @@
 """Method with embedded streams: the reversible 5/3 wavelet in tiles of several levels."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.option_sets import positive
+from terrainwave.option_sets import number, option
+
+# Options of `compress` that a stream cannot have that is cut, with what is expected instead.
+_BESIDE_GOALS = {
+    "max_error": "one of them: a stream is cut in one place",
+    "strict": "`max_error`: there is no other bound to keep strictly",
+    "height_range": "one of them: streams that are cut cannot be patched",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +32,13 @@ class Cdf53(MethodOptions):
 
     name = "cdf53"
 
-    rate: float | None = positive("Bits per sample that the file may take, instead of --max-error.")
-    psnr: float | None = positive(
+    rate: float | None = option(
+        number(above=0), "Bits per sample that the file may take, instead of --max-error."
+    )
+    psnr: float | None = option(
+        number(above=0),
         "Decibels of the heights' range over the root mean square error that the file must reach,"
-        " instead of --max-error."
+        " instead of --max-error.",
     )
 
     def __post_init__(self) -> None:
@@ -38,6 +50,13 @@ class Cdf53(MethodOptions):
             )
 
     @property
-    def must_stay(self) -> bool:
-        """Return whether streams are to be cut, which other methods cannot do."""
-        return self.rate is not None or self.psnr is not None
+    def goal(self) -> str:
+        """Return the option that cuts streams, instead of a bound; "" if there is none."""
+        return "rate" if self.rate is not None else "psnr" if self.psnr is not None else ""
+
+    def check_beside(self, given: Mapping[str, Any]) -> None:
+        """Raise `InvalidArgumentError` for options of `compress` that do not go with these."""
+        for name, expected in _BESIDE_GOALS.items():
+            if self.goal and name in given:
+                raise InvalidArgumentError(f"found `{name}` and `{self.goal}`, expected {expected}")
+        super().check_beside(given)

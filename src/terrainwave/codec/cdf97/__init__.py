@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from terrainwave.codec.method_options import BlockMethodOptions
-from terrainwave.option_sets import flag
+from terrainwave.option_sets import FLAG, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,11 +23,18 @@ class Cdf97(BlockMethodOptions):
 
     name = "cdf97"
 
-    faithful: bool = flag(
-        "Follow Yusov & Turlapov (2010) as closely as the format can. Files become larger."
+    faithful: bool = option(
+        FLAG,
+        "Follow Yusov & Turlapov (2010) as closely as the format can. Files become larger.",
+        default=False,
     )
 
     @property
-    def must_stay(self) -> bool:
+    def is_faithful(self) -> bool:
         """Return whether files are to follow the paper, which other methods cannot do."""
         return self.faithful
+
+    @property
+    def without_efforts(self) -> str:
+        """Return why all efforts give the same file; "" if they do not."""
+        return "faithful files have one wavelet step" if self.faithful else ""

@@ -28,8 +28,7 @@ from terrainwave.extras import with_extra
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
 from terrainwave.place.vertical import note_as_is
-from terrainwave.render.look.colorings import AUTO
-from terrainwave.render.look.style import check_sea_level
+from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
 # Requests for bytes of files that are read at a time: from disk, or from a server, which is slow.
 _N_READING = 4
@@ -92,7 +91,7 @@ def make_app(
     TerrainwaveError
         If no file can be opened; one that cannot beside others is a warning.
     """
-    check_sea_level(sea_level)
+    SEA_LEVEL.checked("sea_level", sea_level)
     public = None if public_url is None else address_of(public_url)
     networks = [network_of(address) for address in proxy]
     allowed = [*LOCAL_HOSTS, *hosts, *([] if public is None else [public.host])]

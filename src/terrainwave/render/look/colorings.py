@@ -1,5 +1,8 @@
 """Names of colourings and ramps, for help that imports nothing else."""
 
+from terrainwave.arguments import checked_number
+from terrainwave.option_sets import Kind, number_in
+
 # Meaning of colours, one line each, for help and documentation.
 MEANINGS = {
     "auto": "absolute on the Earth, else relative",
@@ -13,6 +16,18 @@ MEANINGS = {
     "error": "by the error of meshes",
     "flat": "one colour without light",
 }
+# One line each: the blank lines keep click from joining them.
+COLORING_HELP = "Meaning of the colours.\n\n\b\n" + "\n".join(
+    f"{name}: {meaning}" for name, meaning in MEANINGS.items()
+)
 AUTO = "auto"
 NO_SEA = "none"
+
+
+def _checked_sea_level(name: str, value: object) -> object:
+    words = f"{AUTO}, {NO_SEA} or a height"
+    return value if value in (AUTO, NO_SEA) else checked_number(name, value, expected=words)
+
+
+SEA_LEVEL = Kind(_checked_sea_level, number_in, "height")
 RAMP_NAMES = ("tints", "cividis", "grey", "mars")

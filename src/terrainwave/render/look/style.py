@@ -1,11 +1,15 @@
 """Style of a picture."""
 
 import math
+import re
 from dataclasses import dataclass
+from typing import Any
 
+from terrainwave.arguments import checked_whole, shown
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.option_sets import FLAG, Kind, OptionSet, number, numbers, option, words
 from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
-from terrainwave.render.look.colorings import AUTO, NO_SEA, RAMP_NAMES
+from terrainwave.render.look.colorings import AUTO, COLORING_HELP, RAMP_NAMES, SEA_LEVEL
 
 # The shader's numbers.
 _RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE, _TEXTURED = range(8)
@@ -25,17 +29,20 @@ _NAMES = {MOON: "the Moon", MARS: "Mars", OTHER: "another body"}
 _RAMP_OF_BODY = {EARTH: "tints", UNKNOWN: "tints", MARS: "mars"}
 
 
-def check_sea_level(value: str | float) -> None:
-    """Raise `InvalidArgumentError` unless the value is a finite number or "auto" or "none"."""
-    is_good = value in (AUTO, NO_SEA) if isinstance(value, str) else math.isfinite(value)
-    if not is_good:
-        raise InvalidArgumentError(
-            f"found `sea_level` {value}, expected {AUTO}, {NO_SEA} or a height"
-        )
+def _checked_color(name: str, color: Any) -> Any:
+    expected = "red, green and blue, each 0 … 255 (on the command line six hexadecimal digits)"
+    if not isinstance(color, tuple) or len(color) != 3:
+        raise InvalidArgumentError(f"found `{name}` {shown(color)}, expected {expected}")
+    return tuple(checked_whole(name, part, least=0, most=255, expected=expected) for part in color)
+
+
+def _color(text: str) -> Any:
+    is_color = re.fullmatch("#?[0-9a-fA-F]{6}", text)
+    return tuple(bytes.fromhex(text.removeprefix("#"))) if is_color else text
 
 
 @dataclass(frozen=True)
-class Style:
+class Style(OptionSet):
     """Style of a picture.
 
     Parameters
@@ -65,28 +72,40 @@ class Style:
         `wireframe`, which show only the mesh.
     """
 
-    coloring: str = "auto"
-    ramp: str = AUTO
-    sea_level: str | float = AUTO
-    sun: tuple[float, float] = (315.0, 38.0)
-    haze: float = 0.25
-    shade: float = 1.0
-    drape: float = 1.0
-    wireframe: bool = False
-    background: tuple[int, int, int] | None = None
-    solid: bool = True
-
-    def __post_init__(self) -> None:
-        if self.coloring not in COLORINGS:
-            raise InvalidArgumentError(
-                f"found `coloring` {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
-            )
-        if self.ramp not in (AUTO, *RAMP_NAMES):
-            raise InvalidArgumentError(
-                f"found `ramp` {self.ramp!r}, expected one of {', '.join((AUTO, *RAMP_NAMES))}"
-            )
-
-        check_sea_level(self.sea_level)
+    coloring: str = option(
+        words(*COLORINGS), COLORING_HELP, default="auto", typed={"metavar": "NAME"}
+    )
+    ramp: str = option(
+        words(AUTO, *RAMP_NAMES),
+        "Relative colours. Default: those of the planet or moon. cividis suits colour-blind"
+        " readers.",
+        default=AUTO,
+    )
+    sea_level: str | float = option(
+        SEA_LEVEL,
+        "Height up to which absolute colours show water, in the file's unit, or none. auto: level"
+        " ground at 0 is water, and ground below 0 that is connected to depths of more than 450 m.",
+        default=AUTO,
+    )
+    sun: tuple[float, float] = option(
+        numbers("azimuth, altitude"),
+        "Direction of the light, in degrees.",
+        default=(315.0, 38.0),
+        typed={"default": "315,38"},
+    )
+    haze: float = option(
+        number(least=0, most=1),
+        "Haze in the distance; 0 is none.",
+        default=0.25,
+        typed={"has_range": True},
+    )
+    shade: float = option(number(least=0, most=1), default=1.0)
+    drape: float = option(number(least=0, most=1), default=1.0)
+    wireframe: bool = option(FLAG, "Draw edges only.", default=False)
+    background: tuple[int, int, int] | None = option(
+        Kind(_checked_color, _color, "RRGGBB"), "Colour to draw instead of the sky."
+    )
+    solid: bool = option(FLAG, default=True)
 
     @property
     def has_legend(self) -> bool:

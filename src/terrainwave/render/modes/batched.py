@@ -29,7 +29,7 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import unit_key, units_of
 from terrainwave.render.modes.bounded import BoundedMode
 from terrainwave.render.modes.mode import Frames, ModeNeeds
-from terrainwave.render.modes.neville import ORDERS, filtered
+from terrainwave.render.modes.neville import filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.horizon import Floors
@@ -103,8 +103,6 @@ class Batched(BoundedMode):
         super().__init__(needs, orientation=orientation)
         terrain, frame = self.terrain, self.frame
         self._mu = self._checked_detail(detail)
-        if order not in ORDERS:
-            raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
         self._order = order
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
@@ -121,8 +119,6 @@ class Batched(BoundedMode):
                 f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
                 " measured errors need no factor"
             )
-        if not 0 < detail < math.inf:
-            raise InvalidArgumentError(f"found `detail` {detail:g}, expected a number > 0")
         return detail
 
     # The tree, from the index

@@ -13,29 +13,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_whole
-from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh, ForestPart, draw_together
 from terrainwave.tri.followed import Eye, Followed
-
-_TREES = "a power of two, 2 … 256"
-
-
-def checked_tree(tree: object) -> int:
-    """Return the samples per side of a tree.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not a power of two, 2 … 256.
-    """
-    side = checked_whole("tree", tree, expected=_TREES)
-    if not 2 <= side <= 256 or side & (side - 1):
-        raise InvalidArgumentError(f"found `tree` {side}, expected {_TREES}")
-    return side
 
 
 class Dynamic(FrontMode):
@@ -65,7 +47,7 @@ class Dynamic(FrontMode):
         super().__init__(needs)
         self._is_stepwise = stepwise
         if tree is not None:
-            self.tree = checked_tree(tree)
+            self.tree = tree
         self.arrange()
 
     def arrange(self) -> None:

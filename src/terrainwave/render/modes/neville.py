@@ -16,7 +16,6 @@ import numpy as np
 
 from terrainwave.coding.jit import kernel
 
-ORDERS = 2, 4
 # Weights of the nearest samples and of the others, on a line and in the middle of four.
 _LINE = (9.0 / 16.0, -1.0 / 16.0)
 _MIDDLE = (10.0 / 32.0, -1.0 / 32.0)
@@ -135,7 +134,7 @@ def filtered(fine, valid, order, coarse):
     ----------
     fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
     order : int
-        One of `ORDERS`.
+        2 or 4.
     coarse : ndarray of float64, shape (n, m)
         NaN where it has no heights either.
     """

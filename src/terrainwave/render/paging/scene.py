@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.modes import mode_class, options_of
+from terrainwave.render.modes import mode_class
+from terrainwave.render.modes.drawn_options import DrawnOptions
 from terrainwave.render.modes.mode import MAX_TRIANGLES, NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.paging.motion import Motion
 from terrainwave.render.paging.pager import Arrival, Pager
@@ -81,31 +82,11 @@ class Timings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+class SceneOptions(DrawnOptions):
     """Options of a `Scene`.
 
     Parameters
     ----------
-    mode : str
-        One of `terrainwave.render.modes.MODES`.
-    error : str
-        One of the mode's `errors`.
-    detail : float, optional
-        μ > 0 of mode batched with error "paper": a level's error is μ times its spacing; 0.5 by
-        default.
-    order : int, optional
-        Of Neville's filter, 2 or 4 (default), that makes the levels of mode batched.
-    stepwise : bool
-        Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
-        paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
-    tree : int, optional
-        Of modes dynamic and vertex-texture: samples a side of their quadtrees, a power of two from
-        2 to 256; 16 by default.
-    orientation : bool
-        In modes adaptive, batched and loose with measured errors, these count less the steeper they
-        are looked down at; τ holds all the same.
-    exaggeration, radius : float, optional
-        See `frame_of`.
     max_triangles : int
         Per frame; τ is raised beyond it.
     target_ms : float, optional
@@ -122,26 +103,12 @@ class SceneOptions:
         Called with a `Progress` where a mode prepares for long.
     """
 
-    mode: str = "adaptive"
-    error: str = "measured"
-    detail: float | None = None
-    order: int | None = None
-    stepwise: bool = False
-    tree: int | None = None
-    orientation: bool = False
-    exaggeration: float = 1.0
-    radius: float | None = None
     max_triangles: int = MAX_TRIANGLES
     target_ms: float | None = None
     horizon: bool = True
     n_workers: int = 2
     retries: bool = False
     progress: ProgressCallback | None = None
-
-    def of_mode(self) -> dict[str, Any]:
-        """Return the given options of the mode; raise `InvalidArgumentError` for another's."""
-        names = ("detail", "order", "stepwise", "tree", "orientation")
-        return options_of(self.mode, **{name: getattr(self, name) for name in names})
 
 
 class Scene:

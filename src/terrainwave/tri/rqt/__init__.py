@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import Method, methods_that
-from terrainwave.option_sets import choice
+from terrainwave.option_sets import option, words
 from terrainwave.tri.mesh_options import MeshOptions
 
 
@@ -22,11 +22,10 @@ class Rqt(MeshOptions):
 
     name = "rqt"
 
-    select: str = choice(
+    select: str = option(
+        words("error", "coefficient"),
         "What selects vertices: error, so that all samples are within --mesh-error (default); or"
         " coefficient, with method cdf53, their wavelet coefficients: the error is measured.",
-        "error",
-        "coefficient",
         default="error",
     )
 
@@ -34,10 +33,10 @@ class Rqt(MeshOptions):
         """Return the kind of meshes that a file of a method holds."""
         if self.select == "error":
             return self.name
-        if not method.is_tiled:
+        if not method.has_coefficients:
             raise InvalidArgumentError(
                 f"found `select`={self.select} for a file of method {method.name}, expected one of"
-                f" method {methods_that(lambda method: method.is_tiled)}, whose coefficients it"
+                f" method {methods_that(lambda one: one.has_coefficients)}, whose coefficients it"
                 " follows"
             )
         return f"{self.name}-{self.select}"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import Method
-from terrainwave.option_sets import choice
+from terrainwave.option_sets import option, words
 from terrainwave.tri.mesh_options import MeshOptions
 
 
@@ -22,14 +22,11 @@ class Zerotree(MeshOptions):
 
     name = "zerotree"
 
-    labels: str | None = choice(
+    labels: str | None = option(
+        words("plain", "layer", "coded"),
         "What the labels follow: layer, the zero trees of the decoded heights; coded, those that a"
         " faithful file of cdf97 codes; plain, none. Default: layer with cdf97 (coded if it is"
         " faithful), else plain.",
-        "plain",
-        "layer",
-        "coded",
-        default=None,
     )
 
     def stored(self, method: Method, *, is_faithful: bool) -> str:
