@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from terrainwave.cli.commands.compress import compress as command
 from terrainwave.cli.options import declared
 from terrainwave.container.metadata import ORIGIN
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import Shape
+from terrainwave.export import MESH_ENDINGS, Shape
 from terrainwave.export.mesh import Mesh
 from terrainwave.option_sets import FLAG, OptionSet, number, numbers, option, whole, words
 from terrainwave.render.window.view_options import ViewOptions
@@ -107,13 +108,20 @@ def test_every_option_of_compress_with_help_is_one_of_the_command():
     assert shown <= {parameter.name for parameter in command.params}
 
 
-def test_the_plugin_of_qgis_offers_the_methods_that_are_declared():
+def test_the_plugin_of_qgis_offers_the_methods_and_formats_that_are_declared():
     """It imports nothing of the package, so it has their names once more."""
     plugin = ast.parse((ROOT / "qgis/terrainwave_plugin/algorithms.py").read_text("utf-8"))
-    (named,) = (
-        ast.literal_eval(node.value)
+    named = {
+        ast.unparse(node.targets[0]): node.value
         for node in plugin.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "METHODS"
-    )
+        if isinstance(node, ast.Assign)
+    }
     (method,) = (one for one in Options.options() if one.name == "method")
-    assert tuple(named) == method.metadata["kind"].choices
+    assert tuple(ast.literal_eval(named["METHODS"])) == method.metadata["kind"].choices
+    assert ast.literal_eval(named["MESH_ENDINGS"]) == MESH_ENDINGS
+
+
+def test_the_page_on_meshes_has_a_row_of_each_format():
+    page = (ROOT / "docs/meshes.md").read_text("utf-8")
+    first = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `.")]
+    assert sorted(re.findall(r"`(\.\w+)`", " ".join(first))) == sorted(MESH_ENDINGS)

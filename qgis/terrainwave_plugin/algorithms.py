@@ -22,6 +22,7 @@ from terrainwave_plugin.command import run
 INPUT, OUTPUT, ORIGINAL, BAND = "INPUT", "OUTPUT", "ORIGINAL", "BAND"
 MAX_ERROR, MAX_TRIANGLES, METHOD, MESH, COG = "MAX_ERROR", "MAX_TRIANGLES", "METHOD", "MESH", "COG"
 METHODS = ["auto", "rapid", "predictive", "cdf97", "cdf53", "store"]
+MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".vtu", ".vtk", ".terrain")
 
 
 class Algorithm(QgsProcessingAlgorithm):
@@ -230,8 +231,7 @@ class Mesh(Algorithm):
 
     def parameters(self) -> list:
         """Return the definitions of the parameters."""
-        formats = ("ply", "obj", "stl", "glb", "gltf", "vtu", "vtk", "terrain")
-        filters = ";;".join(f"{ending.upper()} (*.{ending})" for ending in formats)
+        filters = ";;".join(f"{ending[1:].upper()} (*{ending})" for ending in MESH_ENDINGS)
         kind = QgsProcessingParameterNumber.Type.Integer
         return [
             _file_parameter(),

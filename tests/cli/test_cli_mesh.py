@@ -17,7 +17,7 @@ from tri.meshes import grid_mesh
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.export.mesh_formats import EXTENSIONS
+from terrainwave.export import MESH_ENDINGS
 from terrainwave.terrain import Terrain
 
 
@@ -228,7 +228,7 @@ def test_error_of_a_geocentric_mesh_has_its_curvature_and_needs_no_note(tmp_path
 @pytest.mark.parametrize("name", ["area.xyz", "area"])
 def test_an_unknown_extension_is_wrong_usage(tmp_path, twz, asked, name):
     line = one_line(run("mesh", twz, tmp_path / name), 2)
-    assert all(extension in line for extension in EXTENSIONS)
+    assert all(extension in line for extension in MESH_ENDINGS)
     assert asked == {}
 
 

@@ -24,9 +24,9 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
+from terrainwave.export import MESH_ENDINGS
 from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_files import save_mesh
-from terrainwave.export.mesh_formats import EXTENSIONS
 from terrainwave.grid.affine import Footprint
 from terrainwave.raster_io import drape
 
@@ -315,7 +315,7 @@ def test_equal_pictures_give_equal_files(tmp_path):
     assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [name for name in EXTENSIONS if name not in (".glb", ".gltf")])
+@pytest.mark.parametrize("suffix", [name for name in MESH_ENDINGS if name not in (".glb", ".gltf")])
 def test_other_formats_hold_no_picture(tmp_path, suffix):
     with pytest.raises(InvalidArgumentError, match=r"found drape for \S+, expected .*\.glb"):
         save_mesh(terrain_mesh(), tmp_path / f"a{suffix}", drape=tmp_path / "photo.tif")

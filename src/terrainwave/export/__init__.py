@@ -2,12 +2,63 @@
 
 import os
 from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
 
 from terrainwave.arguments import AS_IS, RADIUS_HELP, UPWARDS, VERTICAL, VERTICAL_HELP
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.option_sets import PATH, OptionSet, number, option, words
 
 FRAMES = ("local", "native", "ecef")
+
+
+@dataclass(frozen=True)
+class MeshFormat:
+    """Format of mesh files.
+
+    Attributes
+    ----------
+    writer : str
+        Module and function in `export` that return the bytes of a file, of a mesh in the frame of
+        the file, what the file is to say of it, and the path.
+    package : str, optional
+        Package that the writer needs, of the extra ``mesh``.
+    is_float32 : bool
+        Its coordinates are, so they count from the middle of the mesh.
+    has_normals, has_picture : bool
+        Surfaces have normals and texture coordinates; the picture itself can be in the file.
+    up : str
+        Its upward axis by default.
+    """
+
+    writer: str
+    package: str | None = None
+    is_float32: bool = False
+    has_normals: bool = False
+    has_picture: bool = False
+    up: str = "z"
+
+    def write(self, *given: Any) -> bytes:
+        """Return the bytes of a file."""
+        module, name = self.writer.split(".")
+        data: bytes = getattr(import_module(f"{__name__}.{module}"), name)(*given)
+        return data
+
+
+MESH_FORMATS = {
+    ".ply": MeshFormat("mesh_formats.write_ply", "meshio"),
+    ".obj": MeshFormat("mesh_formats.write_obj", has_normals=True),
+    ".stl": MeshFormat("mesh_formats.write_stl", "trimesh", is_float32=True),
+    ".glb": MeshFormat("mesh_formats.write_glb", is_float32=True, has_normals=True,
+                       has_picture=True, up="y"),
+    ".gltf": MeshFormat("mesh_formats.write_gltf", is_float32=True, has_normals=True,
+                        has_picture=True, up="y"),
+    ".vtu": MeshFormat("mesh_formats.write_vtu", "meshio"),
+    ".vtk": MeshFormat("mesh_formats.write_vtk", "meshio"),
+}  # fmt: skip
+# A Cesium quantized-mesh tile, whose frame is its own (`quantized_mesh`).
+TILE = ".terrain"
+MESH_ENDINGS = (*MESH_FORMATS, TILE)
 
 
 @dataclass(frozen=True, kw_only=True)

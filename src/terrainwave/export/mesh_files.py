@@ -20,19 +20,11 @@ from terrainwave.arguments import (
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export import Shape
+from terrainwave.export import MESH_ENDINGS, MESH_FORMATS, TILE, Shape
 from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.gltf import GROUND_COLOR
-from terrainwave.export.mesh_formats import (
-    EXTENSIONS,
-    EXTRA,
-    TILE,
-    WRITERS,
-    SavedMesh,
-    obj_digits,
-    turned_y_up,
-)
+from terrainwave.export.mesh_formats import EXTRA, SavedMesh, obj_digits, turned_y_up
 from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
 from terrainwave.file import TerrainFile
@@ -55,7 +47,7 @@ Made = TypeVar("Made", bound=MeshData)
 
 def check_shape(shape: Shape, extension: str) -> None:
     """Raise `InvalidArgumentError` for options that do not fit a format."""
-    if shape.drape is not None and (extension == TILE or not WRITERS[extension].has_picture):
+    if shape.drape is not None and (extension == TILE or not MESH_FORMATS[extension].has_picture):
         raise InvalidArgumentError(
             f"found `drape` for {extension}, expected a name that ends in .glb or .gltf: other"
             " formats hold no picture"
@@ -72,7 +64,7 @@ def check_shape(shape: Shape, extension: str) -> None:
             f"found `up` {shape.up} with `frame` ecef, expected none: no axis of geocentric"
             " coordinates points upwards"
         )
-    if shape.up == "z" and WRITERS[extension].up == "y":
+    if shape.up == "z" and MESH_FORMATS[extension].up == "y":
         raise InvalidArgumentError(
             f"found `up` z for {extension}, expected y or none: in glTF y points upwards, and"
             " programs turn the mesh if theirs is another axis"
@@ -122,7 +114,7 @@ def save_mesh(
         return save_tile(
             mesh, path, radius=shape.radius, vertical=shape.vertical, overwrite=overwrite
         )
-    writer = WRITERS[extension]
+    writer = MESH_FORMATS[extension]
     if writer.package is not None:
         need(writer.package, extra=EXTRA)
     framed, written, rounding = _to_write(mesh, extension, shape)
@@ -388,7 +380,7 @@ def _to_write(
         whole = solidify(mesh, shape.solid)
     elif shape.skirts is not None:
         whole = add_skirts(mesh, shape.skirts, is_downward=_is_downward(mesh, shape))
-    writer = WRITERS[extension]
+    writer = MESH_FORMATS[extension]
     if writer.has_normals and (shape.solid is None or shape.drape is not None):
         # A body's walls are not visible in a picture from above.
         whole = replace(whole, attributes=whole.attributes | {"uv": _texture_places(whole)})
@@ -419,7 +411,7 @@ def check_extension(path: str | os.PathLike[str]) -> str:
     InvalidArgumentError
         If no format has it.
     """
-    check_ending(path, EXTENSIONS)
+    check_ending(path, MESH_ENDINGS)
     return Path(path).suffix.lower()
 
 
@@ -432,7 +424,7 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         If the extension is unknown, its package missing, or the file exists and must be kept.
     """
     extension = check_extension(path)
-    package = "quantized_mesh_encoder" if extension == TILE else WRITERS[extension].package
+    package = "quantized_mesh_encoder" if extension == TILE else MESH_FORMATS[extension].package
     if package is not None:
         need(package, extra=EXTRA)
     check_target(path, overwrite)

@@ -1,4 +1,4 @@
-"""Formats of mesh files: each writer returns the bytes of a file.
+"""Writers of mesh files: each returns the bytes of a file (`export.MESH_FORMATS`).
 
 trimesh and meshio write them, except OBJ and glTF: their writers cannot put normals and texture
 coordinates into one file without complaints of the format's validator.
@@ -7,7 +7,6 @@ coordinates into one file without complaints of the format's validator.
 import io
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -99,7 +98,8 @@ def _one_line(about: dict[str, Any]) -> str:
     return json.dumps(about, allow_nan=False)
 
 
-def _write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a binary PLY file, by meshio."""
     out = io.BytesIO()
     _meshio_mesh(mesh).write(out, file_format="ply")
     # meshio's comment holds the time, which would make equal files differ.
@@ -109,7 +109,8 @@ def _write_ply(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     return header + end + body
 
 
-def _write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_obj(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return an OBJ file, with normals and texture coordinates if the mesh has any."""
     uv = mesh.attributes.get("uv")
     parts = [f"# terrainwave {_one_line(about)}\n", _lines("v", mesh.vertices, obj_digits(mesh))]
     corner = "%d"
@@ -140,7 +141,8 @@ def obj_digits(mesh: MeshData) -> int:
     return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
 
 
-def _write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_stl(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a binary STL file, by trimesh."""
     from trimesh.exchange.stl import export_stl
 
     data = bytes(export_stl(to_trimesh(mesh)))
@@ -160,11 +162,13 @@ def turned_y_up(mesh: MeshData) -> MeshData:
     return replace(mesh, vertices=vertices, attributes=mesh.attributes | {"up": "y"})
 
 
-def _write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a binary glTF file."""
     return glb_bytes(mesh, about)
 
 
-def _write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a glTF file with its buffers in it."""
     return gltf_bytes(mesh, about)
 
 
@@ -173,7 +177,8 @@ def _meshio_mesh(mesh: MeshData) -> Any:
     return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
 
 
-def _write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a VTU file, by meshio."""
     data = _written_by_path(mesh, path, "vtu")
     # XML forbids two dashes inside a comment.
     comment = _one_line(about).replace("--", "-\\u002d")
@@ -181,7 +186,8 @@ def _write_vtu(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     return data[:start] + f"<!-- terrainwave {comment} -->\n".encode() + data[start:]
 
 
-def _write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+def write_vtk(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
+    """Return a VTK file, by meshio."""
     version, _, rest = _written_by_path(mesh, path, "vtk").split(b"\n", 2)
     title = f"terrainwave {_one_line(about)}"
     if len(title) > _VTK_TITLE:
@@ -194,32 +200,3 @@ def _written_by_path(mesh: MeshData, path: Path, name: str) -> bytes:
     with scratch(path) as part, storage_errors(f"cannot write {path}"):
         _meshio_mesh(mesh).write(part.path, file_format=name)
         return part.path.read_bytes()
-
-
-@dataclass(frozen=True)
-class Writer:
-    """Writer of a format: its package, and its features.
-
-    With `has_normals`, surfaces have normals and texture coordinates; with `has_picture`, the
-    picture itself can be in the file; `up` is the default upward axis.
-    """
-
-    package: str | None
-    is_float32: bool
-    write: Callable[[MeshData, dict[str, Any], Path], bytes]
-    has_normals: bool = False
-    has_picture: bool = False
-    up: str = "z"
-
-
-WRITERS = {
-    ".ply": Writer("meshio", False, _write_ply),
-    ".obj": Writer(None, False, _write_obj, has_normals=True),
-    ".stl": Writer("trimesh", True, _write_stl),
-    ".glb": Writer(None, True, _write_glb, has_normals=True, has_picture=True, up="y"),
-    ".gltf": Writer(None, True, _write_gltf, has_normals=True, has_picture=True, up="y"),
-    ".vtu": Writer("meshio", False, _write_vtu),
-    ".vtk": Writer("meshio", False, _write_vtk),
-}
-TILE = ".terrain"
-EXTENSIONS = (*WRITERS, TILE)

@@ -35,7 +35,7 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import Shape
+from terrainwave.export import MESH_ENDINGS, TILE, Shape
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS
 from terrainwave.option_sets import BOUNDS, WINDOW
 
@@ -48,7 +48,15 @@ _GOALS = {"max_error", "max_triangles", "optimise"}
 _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 
 
-@click.command(cls=CommandWithOwnOptions)
+@click.command(
+    cls=CommandWithOwnOptions,
+    help=f"""Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
+
+    TARGET's extension selects the format: {", ".join(MESH_ENDINGS[:-1])}, or {MESH_ENDINGS[-1]}, a
+    Cesium quantized-mesh tile. With --lods N it writes N files, each with twice the error of the
+    one before. With --store TARGET is a .twz: a copy of FILE with meshes of all blocks.
+    """,
+)
 @click.argument("file", type=Input())
 @click.argument("target", shell_complete=complete_files)
 @click.option(
@@ -111,12 +119,7 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @writing
 @click.pass_context
 def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
-    """Write a crack-free mesh of FILE (.twz) to TARGET, within the bound of the original.
-
-    TARGET's extension selects the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile. With --lods N it writes N files, each with twice the error of the
-    one before. With --store TARGET is a .twz: a copy of FILE with meshes of all blocks.
-    """
+    """Write a mesh to a file of its own, or with --store into a .twz."""
     _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
@@ -227,7 +230,7 @@ def _check_shape(target: str, shape: dict[str, Any]) -> None:
         extension = check_extension(target)
     except InvalidArgumentError as error:
         raise click.UsageError(f"{error}, or in .twz with --store") from error
-    if shape["vertical"] == "ellipsoid" and shape["frame"] != "ecef" and extension != ".terrain":
+    if shape["vertical"] == "ellipsoid" and shape["frame"] != "ecef" and extension != TILE:
         raise click.UsageError(
             "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
             " coordinates keep the file's datum"
