@@ -22,7 +22,7 @@ from terrainwave_plugin.command import run
 INPUT, OUTPUT, ORIGINAL, BAND = "INPUT", "OUTPUT", "ORIGINAL", "BAND"
 MAX_ERROR, MAX_TRIANGLES, METHOD, MESH, COG = "MAX_ERROR", "MAX_TRIANGLES", "METHOD", "MESH", "COG"
 METHODS = ["auto", "rapid", "predictive", "cdf97", "cdf53", "store"]
-MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".off", ".vtu", ".vtk", ".terrain")
+MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb", ".gltf", ".vtu", ".vtk", ".terrain")
 
 
 class Algorithm(QgsProcessingAlgorithm):

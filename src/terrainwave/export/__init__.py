@@ -53,7 +53,6 @@ MESH_FORMATS = {
                        has_picture=True, up="y"),
     ".gltf": MeshFormat("mesh_formats.write_gltf", is_float32=True, has_normals=True,
                         has_picture=True, up="y"),
-    ".off": MeshFormat("off.write_off"),
     ".vtu": MeshFormat("mesh_formats.write_vtu", "meshio"),
     ".vtk": MeshFormat("mesh_formats.write_vtk", "meshio"),
 }  # fmt: skip
