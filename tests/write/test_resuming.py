@@ -180,9 +180,9 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     units, reads = [], []
     encode, read = UnitEncoder._encode_unit, RasterSource.read
 
-    def noting(self, key, *rest):
-        units.append(key)
-        return encode(self, key, *rest)
+    def noting(self, start):
+        units.append(start.key)
+        return encode(self, start)
 
     def reading(self, *window):
         reads.append(window)

@@ -7,8 +7,8 @@ from terrainwave.container.codes import decode_error, decode_range, encode_error
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import unmeasured_codes
-from terrainwave.write.encoder import Stats
 from terrainwave.write.job import Job
+from terrainwave.write.passes.found import Stats
 
 Box = tuple[int, int]
 

@@ -43,9 +43,10 @@ from terrainwave.write.boxes import (
     set_codes,
     unmeasured_mesh_codes,
 )
-from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
+from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.coding import Coded
+from terrainwave.write.passes.found import Stats
 from terrainwave.write.passes.proof import measured_error
 from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (

@@ -264,20 +264,21 @@ class _Patcher:
             self._terrain, self._merged, self._pyramid, self.sink, self._count("patching"),
             kept=KeptUnits(self._kept, self._grid, "patch"),
         )  # fmt: skip
-        stats = encoder.run(self._executor)
+        encoder.run(self._executor)
+        found = encoder.found
         self.header = self._bounded_header()
         features = self.header.features & ~HAS_CORRECTIONS
         features |= HAS_VOIDS if self._merged.has_voids else 0
-        features |= HAS_CORRECTIONS if encoder.has_corrections else 0
+        features |= HAS_CORRECTIONS if found.has_corrections else 0
         self.header = replace(self.header, features=features)
         index = PatchedIndex(
             self._terrain, self.header, self._merged, self._pyramid, self.sink, self._executor,
             self._count,
         )  # fmt: skip
-        is_any_new, self.stated_error = index.update(stats, encoder)
-        self.is_changed = bool(encoder.recoded) or is_any_new
+        is_any_new, self.stated_error = index.update(found)
+        self.is_changed = bool(found.recoded) or is_any_new
         self.is_changed |= self.header != self._terrain.header
-        return len(encoder.recoded), self._grid.n_units() - len(encoder.recoded)
+        return len(found.recoded), self._grid.n_units() - len(found.recoded)
 
     def _bounded_header(self) -> Header:
         """Return the file's header with the bounds that hold after the patch."""

@@ -51,8 +51,9 @@ from terrainwave.write.boxes import (
     set_codes,
     unmeasured_mesh_codes,
 )
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
+from terrainwave.write.passes.found import Stats
 from terrainwave.write.passes.proof import (
     Comparison,
     Proved,

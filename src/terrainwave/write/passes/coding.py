@@ -29,8 +29,9 @@ from terrainwave.write.boxes import (
     set_codes,
     unmeasured_mesh_codes,
 )
-from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
+from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
+from terrainwave.write.passes.found import Stats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid, SourceWindows
 
