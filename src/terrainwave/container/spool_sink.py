@@ -18,8 +18,6 @@ class SpoolSink:
     which have no entries. A repeated segment names the one that it equals.
     """
 
-    takes_repeats = True
-
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
         self._directory = directory

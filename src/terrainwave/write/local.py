@@ -1,36 +1,26 @@
 """The three passes of `compress` over a raster, in threads of this process."""
 
 import os
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass
 
 from terrainwave.container.digests import TileDigests
 from terrainwave.container.targets.kept import Kept
-from terrainwave.grid.crew import Crew
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.progress import Reporter
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.job import Job
+from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.coding import Coded, encode
 from terrainwave.write.passes.proof import prove
 from terrainwave.write.passes.resuming import is_by_heights, same_heights
-from terrainwave.write.passes.windows import Windows, check_free_space, scan_windows
+from terrainwave.write.passes.windows import Windows, check_free_space
 
 
 @dataclass
 class LocalPasses:
-    """Passes over `source`, in the threads of `executor`; large data in `directory`.
+    """Passes over a raster that do not repeat the work of an earlier run."""
 
-    Work that `kept` has from an earlier run is not repeated.
-    """
-
-    source: RasterSource
-    directory: Path
-    executor: Crew
-    reporter: Reporter
+    bench: Bench
     has_digest: bool = False
-    kept: Kept = field(default_factory=Kept)
     _windows: Windows | None = None
 
     @property
@@ -41,32 +31,25 @@ class LocalPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
-        check_free_space(self.source, self.directory, self.kept.n_bytes)
-        by_heights = is_by_heights(self.kept)
+        source, kept = self.bench.source, self.bench.kept
+        check_free_space(source, self.bench.directory, kept.n_bytes)
+        by_heights = is_by_heights(kept)
         # Records that may be of other heights are not used.
-        kept = Kept() if by_heights else self.kept
-        self._windows = Windows(self.source, self.directory, kept)
-        first = self._windows.n_scanned()
-        scan = scan_windows(
-            self.source.info,
-            self._windows.scan(self.executor, first),
-            self.reporter,
-            has_digest=self.has_digest or by_heights,
-            steps=steps,
-            kept=kept,
-            first=first,
+        self._windows = Windows(source, self.bench.directory, Kept() if by_heights else kept)
+        scan = self._windows.scan(
+            self.bench.executor, self.bench.reporter, self.has_digest or by_heights, steps
         )
         if by_heights and scan.digest is not None:
-            same_heights(self.kept, scan.digest.text)
+            same_heights(kept, scan.digest.text)
         return scan
 
     def encode(self, job: Job) -> Coded:
         """Code all units into one spool per segment."""
-        return encode(job, self.windows, self.directory, self.executor, self.reporter, self.kept)
+        return encode(job, self.windows, self.bench)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file, compare every sample; return the largest error and digests of tiles."""
-        return prove(path, job, self.windows, self.executor, self.reporter, self.kept)
+        return prove(path, job, self.windows, self.bench)
 
     def close(self) -> None:
         if self._windows is not None:

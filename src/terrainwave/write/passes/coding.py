@@ -1,11 +1,9 @@
 """Pass B: all units coded into one spool per segment, with their meshes and measured errors."""
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -14,23 +12,15 @@ from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.spool import LikeSegment, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.targets.kept import Kept
-from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
-from terrainwave.progress import Reporter
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.tile_decoder import make_decoder
-from terrainwave.write.boxes import (
-    Box,
-    enclosing_boxes,
-    error_codes,
-    set_codes,
-    unmeasured_mesh_codes,
-)
+from terrainwave.write.boxes import Box, Codes
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
+from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.found import Stats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid, SourceWindows
@@ -63,51 +53,26 @@ def smaller(first: Coded, second: Coded) -> Coded:
     return kept
 
 
-def encode(
-    job: Job,
-    source: SourceWindows,
-    directory: Path,
-    executor: Crew,
-    reporter: Reporter,
-    kept: Kept,
-) -> Coded:
-    """Code all units into one spool per segment; units in `kept` are not coded again."""
-    pyramid = Pyramid(
-        source,
-        job.quantizer,
-        job.grid,
-        kind=job.options.named_method.pyramid,
-        has_voids=job.has_voids,
-        directory=directory,
-        executor=executor,
-    )
-    pyramid.kept = kept
+def encode(job: Job, source: SourceWindows, bench: Bench) -> Coded:
+    """Code all units into one spool per segment; units that an earlier run kept stay as they are.
+
+    `source` has the windows of the bench's raster.
+    """
+    directory, executor = bench.directory, bench.executor
+    pyramid = bench.pyramid(job, source)
+    pyramid.kept = bench.kept
     try:
         itemsize = np.dtype(job.info.dtype).itemsize
         pyramid.build(
-            lambda done, total: reporter.report("making levels", done, total, done * itemsize)
+            lambda done, total: bench.reporter.report("making levels", done, total, done * itemsize)
         )
         sink = SpoolSink(job.grid, directory)
-        total = job.grid.n_rows * job.grid.n_cols
-        n_units = job.grid.n_units()
-        done = 0
-        lock = threading.Lock()
+        sizes = {"n_units_total": job.grid.n_units(), "n_levels": job.grid.k_max + 1}
 
-        def on_samples(n_samples: int) -> None:
-            nonlocal done
-            with lock:
-                done = min(done + n_samples, total)
-                reporter.report(
-                    "encoding",
-                    done,
-                    total,
-                    done * itemsize,
-                    n_bytes_out=sink.n_bytes,
-                    n_units=sink.n_units,
-                    n_units_total=n_units,
-                    n_levels=job.grid.k_max + 1,
-                )
+        def more() -> dict[str, int]:
+            return {"n_bytes_out": sink.n_bytes, "n_units": sink.n_units, **sizes}
 
+        on_samples = bench.counter("encoding", more)
         refiner, file_tables = None, b""
         units: dict[Block, Decoded] = {}
         below: dict[Block, Box] = {}
@@ -117,34 +82,30 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            refiner, file_tables = _fitted(job, pyramid, kept, executor)
-            stats, units = _encode_units(
-                job, refiner, pyramid, sink, on_samples, executor, kept, below
-            )
+            refiner, file_tables = _fitted(job, pyramid, bench)
+            stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, bench, below)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
-        errors = error_codes(stats, job.lost, job.recursion_bound)
-        mesh_errors = unmeasured_mesh_codes(job, stats, errors)
+        codes = Codes(job, stats, below)
+        mesh_errors = None
         if job.options.measures_meshes:
             header = job.header(file_tables)
             decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
             while units:  # not decoded again
                 decoder.put(*units.popitem())
-            mesh_errors = _mesh_errors(job, decoder, pyramid, sink, errors, executor, reporter)
+            mesh_errors = _mesh_errors(job, decoder, pyramid, sink, codes.errors, bench)
     finally:
         pyramid.close()
-    whole = job.quantizer.z_min, job.quantizer.z_max
-    boxes = enclosing_boxes(stats, errors, whole, below, job.moved)
-    set_codes(job.grid, sink.present(), whole, boxes, errors, mesh_errors)
+    codes.set(sink.present(), mesh_errors)
     return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
 
-def _fitted(job: Job, pyramid: Pyramid, kept: Kept, executor: Crew) -> tuple[Refiner, bytes]:
+def _fitted(job: Job, pyramid: Pyramid, bench: Bench) -> tuple[Refiner, bytes]:
     """Return the refiner of a job's method, and its tables, which are kept."""
-    method = job.options.named_method.name
+    method, kept = job.options.named_method.name, bench.kept
     name = f"{method}/tables"
     if kept.get(name) is None:
-        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask, executor)
+        refiner, file_tables = fitted_refiner(job, pyramid.heights, pyramid.mask, bench.executor)
         kept.put(name, {}, file_tables)
         return refiner, file_tables
     file_tables = kept.data(name)
@@ -157,8 +118,7 @@ def _encode_units(
     pyramid: Pyramid,
     sink: SpoolSink,
     on_samples: Callable[[int], None],
-    executor: Crew,
-    kept: Kept,
+    bench: Bench,
     below: dict[Block, Box],
 ) -> tuple[Stats, dict[Block, Decoded]]:
     """Code every unit; return statistics and decoded units.
@@ -172,13 +132,13 @@ def _encode_units(
     name = job.options.named_method.name
     encoder = TreeEncoder(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
-        kept=KeptUnits(kept, job.grid, name),
+        kept=KeptUnits(bench.kept, job.grid, name),
         on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
         may_repeat=job.may_repeat,
     )  # fmt: skip
     if job.may_repeat:
         encoder.on_segment = partial(_finish_segment, job, sink, below)
-    return encoder.run(executor), units
+    return encoder.run(bench.executor), units
 
 
 def _finish_segment(
@@ -188,13 +148,10 @@ def _finish_segment(
     spool = sink.spools.get(head)
     if not isinstance(spool, SegmentSpool):
         return
-    errors = error_codes(stats, job.lost)
-    whole = job.quantizer.z_min, job.quantizer.z_max
-    boxes = enclosing_boxes(stats, errors, whole, {}, job.moved)
-    if head in boxes:
-        below[head] = boxes.pop(head)
-    mesh_errors = unmeasured_mesh_codes(job, stats, errors)
-    set_codes(job.grid, [spool], whole, boxes, errors, mesh_errors)
+    codes = Codes(job, stats)
+    if head in codes.boxes:
+        below[head] = codes.boxes.pop(head)
+    codes.set([spool])
     sink.store(head)
 
 
@@ -210,12 +167,10 @@ def _mesh_errors(
     pyramid: Pyramid,
     sink: SpoolSink,
     errors: dict[Block, int],
-    executor: Crew,
-    reporter: Reporter,
+    bench: Bench,
 ) -> dict[Block, int]:
     """Make the meshes; return the code of each mesh's error against the originals."""
     grid = job.grid
-    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
     mesher, sections = make_meshes(
         grid,
         decoder,
@@ -223,11 +178,11 @@ def _mesh_errors(
         job.mesh_tolerance,
         has_voids=job.has_voids,
         kind=job.options.mesh_kind,
-        executor=executor,
-        on_samples=reporter.counter("making meshes", *size),
+        executor=bench.executor,
+        on_samples=bench.counter("making meshes"),
     )
     sink.set_meshes(sections)
-    count = reporter.counter("measuring meshes", *size)
+    count = bench.counter("measuring meshes")
     lost = Fraction(job.lost)
-    found = measure_meshes(grid, mesher, pyramid.originals, executor, count, lost)
+    found = measure_meshes(grid, mesher, pyramid.originals, bench.executor, count, lost)
     return mesher.error_codes(found, lost, by_recursion=job.options.faithful)

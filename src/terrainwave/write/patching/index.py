@@ -3,8 +3,7 @@
 Where originals are known these are measured; elsewhere the old values hold as well.
 """
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
+from collections.abc import Mapping
 from fractions import Fraction
 
 from terrainwave.codec.refiner import Heights, Mask
@@ -19,6 +18,7 @@ from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
 from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
+from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.found import Found
 from terrainwave.write.patching.merged import Merged
 from terrainwave.write.pyramid import Pyramid
@@ -36,8 +36,6 @@ class PatchedIndex:
     ----------
     header : Header
         Of the patched file.
-    counter : callable
-        Returns the sample counter of a stage, by its name.
     """
 
     def __init__(
@@ -47,12 +45,11 @@ class PatchedIndex:
         merged: Merged,
         pyramid: Pyramid,
         sink: SpoolSink,
-        executor: Executor,
-        counter: Callable[[str], Callable[[int], None]],
+        bench: Bench,
     ) -> None:
         self._terrain, self._container, self._grid = terrain, terrain.container, terrain.grid
         self._header, self._merged, self._pyramid, self._sink = header, merged, pyramid, sink
-        self._executor, self._counter = executor, counter
+        self._bench = bench
         quantizer = terrain.quantizer
         self._whole = quantizer.z_min, quantizer.z_max
         self._lost = quantizer.lost
@@ -129,8 +126,8 @@ class PatchedIndex:
             header.mesh_tolerance,
             has_voids=self._header.has_voids,
             kind=header.mesh,
-            executor=self._executor,
-            on_samples=self._counter("making meshes"),
+            executor=self._bench.executor,
+            on_samples=self._bench.counter("making meshes"),
         )
         self._sink.set_meshes(sections)
 
@@ -138,9 +135,10 @@ class PatchedIndex:
             heights, mask = self._pyramid.originals(region)
             return heights, self._merged.known(region, mask)
 
-        count = self._counter("measuring meshes")
+        count = self._bench.counter("measuring meshes")
         lost = Fraction(self._lost)
-        codes = mesh_codes(measure_meshes(grid, mesher, known, self._executor, count, lost), lost)
+        executor = self._bench.executor
+        codes = mesh_codes(measure_meshes(grid, mesher, known, executor, count, lost), lost)
         moved = self._moved_meshes(found.changes, errors, sections)
         open_blocks = {
             block for block in errors if not self._merged.covers(grid.full_region(block))
@@ -151,7 +149,7 @@ class PatchedIndex:
             # Decoded heights stand in for unknown originals.
             lost += header.coded_error
             measured = measure_meshes(
-                grid, mesher, self._pyramid.originals, self._executor, lambda _: None, lost
+                grid, mesher, self._pyramid.originals, self._bench.executor, lambda _: None, lost
             )
             away = mesh_codes(measured, lost)
             for block in moved & open_blocks & set(away):
