@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -24,8 +24,6 @@ from terrainwave.container.page import N_CODES
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.writer import store_segments
 from terrainwave.errors import StorageError, TerrainwaveWarning
-from terrainwave.grid.block_stats import BlockStats
-from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -36,18 +34,16 @@ from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
-from terrainwave.write.passes.bench import Bench
-from terrainwave.write.passes.coding import Coded
-from terrainwave.write.passes.found import Stats
-from terrainwave.write.passes.proof import Proof
+from terrainwave.write.local import Coded
+from terrainwave.write.passes.bench import AskedRaster, Bench
+from terrainwave.write.passes.proof import Proof, measured_error
+from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
     ABOVE,
     CODED,
     FINISHED,
     TOP,
-    AskedRaster,
-    EncodedSubtree,
     Site,
     draft_subtree,
     encode_subtree,
@@ -115,9 +111,7 @@ class DistributedPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample."""
-        info = self.bench.source.info
-        digest = HeightDigest(info.n_cols) if self._has_digest else None
-        whole = HeightScan(info.dtype, steps, digest)
+        whole = new_scan(self.bench.source.info, self._has_digest, steps)
         # Not after hours, if nothing can be written there.
         self._names.append("begun")
         self._depot.save("begun")
@@ -131,7 +125,7 @@ class DistributedPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units; segments below the tasks' blocks are stored in the depot."""
-        site = Site(self._raster, self._depot.root, job, self._level, job.options.named_method.name)
+        site = Site(self._raster, self._depot.root, job, self._level)
         top = self._top_pyramid(site)
         try:
             refiner, file_tables = fitted_refiner(
@@ -142,27 +136,38 @@ class DistributedPasses:
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda _: None, self._level
             )
-            stats = encoder.run(self.bench.executor)
+            encoder.run(self.bench.executor)
         finally:
             top.close()
-        below = self._encode_below(site, sink, stats)
-        codes = Codes(job, below.stats, below.boxes, below.errors)
+        found, boxes, errors = encoder.found, dict[Block, Box](), dict[Block, int]()
+        segments: dict[Block | None, StoredSegment] = {}
+        n_bytes = sink.n_bytes + len(file_tables)
+        _set_no_codes(site.grid, sink)
+        self._store_top(site, ABOVE, sink)
+        with _Copies(site.depot, self.bench.directory) as copies:
+            for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
+                found.note(encoded.ancestors)
+                if encoded.box is not None:
+                    boxes[head], errors[head] = encoded.box, encoded.error
+                n_bytes += encoded.n_bytes
+                if not job.options.measures_meshes:
+                    heads = site.grid.segment_heads_below(head)
+                    segments |= zip(heads, copies.places(encoded.places), strict=True)
+        codes = Codes(job, found.stats, boxes, errors)
         codes.set(sink.present())
-        segments = below.segments
         if job.options.measures_meshes:
             segments = self._mesh(site, refiner, codes, sink)
-        n_bytes = sink.n_bytes + below.n_bytes + len(site.file_tables)
-        return Coded(site.file_tables, {**sink.spools, **segments}, n_bytes, job)
+        return Coded(file_tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file, compare every sample; return the largest error and digests of tiles."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
-        site = Site(self._raster, self._depot.root, job, self._level, job.options.named_method.name)
+        site = Site(self._raster, self._depot.root, job, self._level)
         tasks = {region: (site, os.path.abspath(path), region) for region in self._proof_regions()}
         proof = Proof((self._grid.n_rows, self._grid.n_cols))
         for _, found in self._run("proving", prove_region, tasks):
             proof.add(found)
-        return proof.result(job.quantizer)
+        return measured_error(proof.largest, job.quantizer), proof.tiles
 
     def close(self) -> None:
         """Delete what tasks have left in the depot."""
@@ -295,22 +300,6 @@ class DistributedPasses:
 
         return heights, mask
 
-    # Payloads
-
-    def _encode_below(self, site: Site, sink: SpoolSink, stats: Stats) -> "_Below":
-        """Have the groups below the tasks' blocks coded; `stats` are of the blocks above."""
-        _set_no_codes(site.grid, sink)
-        self._store_top(site, ABOVE, sink)
-        below = _Below(stats=stats)
-        is_last = not site.job.options.measures_meshes
-        with _Copies(site.depot, self.bench.directory) as copies:
-            for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
-                below.take(encoded)
-                if is_last:
-                    heads = site.grid.segment_heads_below(head)
-                    below.segments |= zip(heads, copies.places(encoded.places), strict=True)
-        return below
-
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
         self._names.append(site.top_name(stage))
         store_segments(site.depot, self._names[-1], site.grid, site.top_heads(), sink.spools)
@@ -403,25 +392,6 @@ class _Copies:
         if kind is None:
             for copied in self._copied:
                 copied.result()
-
-
-@dataclass
-class _Below:
-    """Joined reports of tasks on the groups that they coded."""
-
-    segments: dict[Block | None, StoredSegment] = field(default_factory=dict)
-    stats: Stats = field(default_factory=dict)
-    boxes: dict[Block, Box] = field(default_factory=dict)
-    errors: dict[Block, int] = field(default_factory=dict)
-    n_bytes: int = 0
-
-    def take(self, encoded: EncodedSubtree) -> None:
-        for block, stats in encoded.ancestors.items():
-            self.stats.setdefault(block, BlockStats()).merge(stats)
-        if encoded.box is not None:
-            self.boxes[encoded.head] = encoded.box
-            self.errors[encoded.head] = encoded.error
-        self.n_bytes += encoded.n_bytes
 
 
 def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:

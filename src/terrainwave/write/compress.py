@@ -53,11 +53,9 @@ from terrainwave.write.cluster import (
 from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import earlier_of, for_heights_of
 from terrainwave.write.job import Job, fixed_steps, settled
-from terrainwave.write.local import LocalPasses
-from terrainwave.write.passes.bench import Bench
-from terrainwave.write.passes.coding import Coded, smaller
+from terrainwave.write.local import Coded, LocalPasses, smaller
+from terrainwave.write.passes.bench import AskedRaster, Bench
 from terrainwave.write.passes.resuming import run_directory, taken_up
-from terrainwave.write.subtrees import AskedRaster
 from terrainwave.write.tasks.workers import Workers
 
 _log = logging.getLogger(__name__)

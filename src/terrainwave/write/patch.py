@@ -14,6 +14,7 @@ docs/decisions/0023).
 import logging
 import os
 import warnings
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -51,7 +52,9 @@ from terrainwave.write.passes.proof import (
     Proved,
     allowed_error,
     compare_window,
+    measured_error,
     proof_shares,
+    together,
 )
 from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
 from terrainwave.write.patching.index import PatchedIndex
@@ -323,9 +326,12 @@ class _Patcher:
                 count(region.n_rows * region.n_cols)
                 return found
 
-            proof.compare(path, proof_shares(self._grid), compare, self._bench)
-        error, tiles = proof.result(quantizer)
-        return error, self._new_digests(tiles.tree())
+            def compare_all(share: Sequence[Region]) -> Proved:
+                return together(map(compare, share))
+
+            proof.compare(path, proof_shares(self._grid), compare_all, self._bench)
+        error = measured_error(proof.largest, quantizer)
+        return error, self._new_digests(proof.tiles.tree())
 
     def _new_digests(self, found: DigestTree) -> DigestTree | None:
         """Return the new digests, if the file has any: beyond the new raster they stay."""

@@ -13,23 +13,18 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
-from terrainwave.container.page import N_CODES
-from terrainwave.container.spool import SegmentSpool
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.spool_sink import SpoolSink, copied_segments
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import store_segments, stored_places
-from terrainwave.errors import InvalidHeightsError
-from terrainwave.file.raster import raster_source
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -37,16 +32,16 @@ from terrainwave.mesh.blocks import BlockMesher, measure_meshes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes, recursive_errors
 from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.bench import Bench
+from terrainwave.write.passes.bench import AskedRaster, Bench
 from terrainwave.write.passes.found import Stats
 from terrainwave.write.passes.proof import Proved, comparison_of, together
+from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
 from terrainwave.write.tasks.task import workplace
 
@@ -55,52 +50,18 @@ _SCAN_SIDE = 2048
 ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
 
 
-class AskedRaster(NamedTuple):
-    """A raster, or mosaic of several, and how to read it; arguments of `compress`."""
-
-    src: Any
-    band: int = 1
-    nodata: float | str | None = None
-    georeference: bool = True
-    heights_are: str | None = None
-
-    def open(self, *, warn: bool = False) -> RasterSource:
-        """Open it; notes were issued where the run began."""
-        source, *options = self
-        return raster_source(source, **dict(zip(self._fields[1:], options, strict=True)), warn=warn)
-
-    def shared(self) -> "AskedRaster":
-        """Return the raster as other machines open it.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If it is no path or URL, and no list of them.
-        """
-        sources = self.src if isinstance(self.src, list | tuple) else [self.src]
-        if not all(isinstance(source, str | os.PathLike) for source in sources):
-            raise InvalidHeightsError(
-                f"found a {type(self.src).__name__}; expected the path or URL of a raster that"
-                " every worker of the cluster can read"
-            )
-        paths = [os.fspath(source) for source in sources]
-        paths = [os.path.abspath(path) if os.path.exists(path) else path for path in paths]
-        return self._replace(src=paths[0] if len(paths) == 1 else paths)
-
-
 @dataclass(frozen=True)
 class Site:
     """State shared by the tasks of a run.
 
-    `root` is that of the depot, `level` that of the blocks whose subtrees are tasks, `method` the
-    requested one, which prefixes names in the depot; `file_tables` are empty until they are known.
+    `root` is that of the depot, `level` that of the blocks whose subtrees are tasks; `file_tables`
+    are empty until they are known.
     """
 
     raster: AskedRaster
     root: str
     job: Job
     level: int
-    method: str
     file_tables: bytes = b""
 
     @property
@@ -117,9 +78,14 @@ class Site:
         """Return the number of levels below the blocks that tasks begin at."""
         return self.grid.k_max - self.level
 
+    @property
+    def method(self) -> str:
+        """Return the method's name; a plain one may be tried as well, under other names."""
+        return self.job.options.named_method.name
+
     def refiner(self) -> Refiner:
         """Return the refiner with the file's tables."""
-        return refiner_by_name(self.job.options.named_method.name, self.file_tables)
+        return refiner_by_name(self.method, self.file_tables)
 
     def name(self, stage: str, head: Block) -> str:
         """Return the name of a task's result in the depot."""
@@ -194,8 +160,7 @@ def scan_region(
 ) -> HeightScan:
     """Return range, validity and vertical quantum of a region; optionally a digest."""
     with raster.open() as source:
-        digest = HeightDigest(source.info.n_cols) if has_digest else None
-        scan = HeightScan(source.info.dtype, steps, digest)
+        scan = new_scan(source.info, has_digest, steps)
         for window in region.tiles(_SCAN_SIDE, _SCAN_SIDE):
             scan.update(*source.read(*window), window.row, window.col)
     return scan
@@ -248,7 +213,6 @@ class EncodedSubtree(NamedTuple):
     in a faithful file (`boxes.recursive_errors`).
     """
 
-    head: Block
     places: tuple[StoredSegment, ...]
     ancestors: Stats
     box: Box | None
@@ -282,7 +246,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         box = codes.boxes.pop(head, None)
         codes.set(sink.present())
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
-    return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes, error)
+    return EncodedSubtree(tuple(places.values()), ancestors, box, sink.n_bytes, error)
 
 
 # Meshes
@@ -291,7 +255,6 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
 class FinishedSubtree(NamedTuple):
     """Result of meshing a subtree: errors of ancestors in 1/16 quanta."""
 
-    head: Block
     places: tuple[StoredSegment, ...]
     ancestors: dict[Block, int]
 
@@ -394,32 +357,10 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         own = {block: error for block, error in found.items() if block.level > head.level}
         codes = mesher.error_codes(own, lost, by_recursion=site.job.options.faithful)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
-        spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
+        spools = copied_segments(grid, heads, stored, codes, bench.directory, sections)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
     ancestors = {block: error for block, error in found.items() if block not in own}
-    return FinishedSubtree(head, tuple(places.values()), ancestors)
-
-
-def _finished_spools(
-    grid: Grid,
-    heads: list[Block | None],
-    stored: StoredSegments,
-    sections: dict[Block, bytes],
-    codes: dict[Block, int],
-    directory: Path,
-) -> dict[Block | None, SegmentSpool]:
-    """Return stored segments with meshes and the codes of their errors."""
-    spools: dict[Block | None, SegmentSpool] = {}
-    for head in heads:
-        spool = spools[head] = SegmentSpool(directory)
-        for key in grid.segment_groups(head):
-            rows = bytearray()
-            for block in grid.key_blocks(key):
-                rows += bytes(stored.codes(block)[: N_CODES - 1]) + bytes([codes.get(block, 0)])
-            (payload,) = stored.payloads([key])
-            spool.add(key, payload, codes=bytes(rows), mesh=sections.get(key, b""))
-        spool.finish()
-    return spools
+    return FinishedSubtree(tuple(places.values()), ancestors)
 
 
 # Pass C

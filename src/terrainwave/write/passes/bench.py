@@ -1,18 +1,57 @@
 """What the passes of a run over a raster work with."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from terrainwave.container.targets.kept import Kept
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.progress import Reporter
+from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Base, Pyramid, SourceWindows, SubtreeRegion
+
+
+class AskedRaster(NamedTuple):
+    """A raster, or mosaic of several, and how to read it; arguments of `compress`."""
+
+    src: Any
+    band: int = 1
+    nodata: float | str | None = None
+    georeference: bool = True
+    heights_are: str | None = None
+
+    def open(self, *, warn: bool = False) -> RasterSource:
+        """Open it; notes were issued where the run began."""
+        return raster_source(
+            self.src, band=self.band, nodata=self.nodata, georeference=self.georeference,
+            heights_are=self.heights_are, warn=warn,
+        )  # fmt: skip
+
+    def shared(self) -> "AskedRaster":
+        """Return the raster as other machines open it.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If it is no path or URL, and no list of them.
+        """
+        sources = self.src if isinstance(self.src, list | tuple) else [self.src]
+        if not all(isinstance(source, str | os.PathLike) for source in sources):
+            raise InvalidHeightsError(
+                f"found a {type(self.src).__name__}; expected the path or URL of a raster that"
+                " every worker of the cluster can read"
+            )
+        paths = [os.fspath(source) for source in sources]
+        paths = [os.path.abspath(path) if os.path.exists(path) else path for path in paths]
+        return self._replace(src=paths[0] if len(paths) == 1 else paths)
 
 
 @dataclass(frozen=True)

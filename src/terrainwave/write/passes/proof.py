@@ -143,16 +143,23 @@ class Comparison:
 
     Below a block of one height, units and finest segments with neighbours on all sides decode alike
     if their bytes are equal (`EvenBlocks`): the first is decoded, the bytes of the others are
-    compared with it. Tiles are digested if `has_digests`.
+    compared with it. Tiles are digested if `has_digests`. `count` is called with the numbers of
+    compared samples.
     """
 
     def __init__(
-        self, terrain: TerrainFile, source: SourceWindows, allowed: float, has_digests: bool
+        self,
+        terrain: TerrainFile,
+        source: SourceWindows,
+        allowed: float,
+        has_digests: bool,
+        count: Callable[[int], None] = lambda _: None,
     ) -> None:
         self._terrain = terrain
         self._source = source
         self._allowed = allowed
         self._has_digests = has_digests
+        self._count = count
         self._even = EvenBlocks(terrain.container, terrain.decoder)
         # Places of tiles are those of the first block.
         self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
@@ -164,13 +171,13 @@ class Comparison:
             for one in windows
         )
 
-    def one(self, one: Region | Block) -> Proved:
-        """Compare a window or block, as `unproved` yields them."""
-        return self.block(one) if isinstance(one, Block) else self.windows([one])
-
     def all(self, whole: Iterable[Region | Block]) -> Proved:
-        """Compare windows and blocks."""
-        return together(map(self.one, whole))
+        """Compare windows and blocks, as `unproved` yields them."""
+        all_found = []
+        for one in whole:
+            all_found.append(self.block(one) if isinstance(one, Block) else self.windows([one]))
+            self._count(_n_samples(self._terrain.grid, one))
+        return together(all_found)
 
     def shares(
         self, source: IndexedWindows, within: Region | None = None
@@ -332,15 +339,11 @@ class Proof:
         self.largest = max(self.largest, found.error)
         self.tiles.add(found.tiles)
 
-    def result(self, quantizer: Quantizer) -> tuple[float, TileDigests]:
-        """Return the largest error, in raw units, and the digests of tiles."""
-        return measured_error(self.largest, quantizer), self.tiles
-
     def compare(
         self,
         path: str | os.PathLike[str] | bytes,
         shares: Iterable[Sequence[ShareT]],
-        one: Callable[[ShareT], Proved],
+        compare: Callable[[Sequence[ShareT]], Proved],
         bench: Bench,
     ) -> None:
         """Compare shares of a file in threads.
@@ -359,11 +362,8 @@ class Proof:
             for _ in islice(shares, done):
                 pass
 
-        def compared(share: Sequence[ShareT]) -> Proved:
-            return together(map(one, share))
-
         while batch := list(islice(shares, _SHARES)):
-            for found in bench.executor.map(compared, batch):
+            for found in bench.executor.map(compare, batch):
                 self.add(found)
                 waiting, done = together([waiting, found]), done + 1
                 if name and kept.is_due(name):
@@ -375,35 +375,12 @@ class Proof:
 
 @contextmanager
 def comparison_of(
-    path: str | os.PathLike[str] | bytes, job: Job, source: SourceWindows
+    path: str | os.PathLike[str] | bytes,
+    job: Job,
+    source: SourceWindows,
+    count: Callable[[int], None] = lambda _: None,
 ) -> Iterator[Comparison]:
     """Open a finished file, and yield what compares it with its raster."""
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        yield Comparison(terrain, source, allowed, job.options.makes_digests)
-
-
-def prove(
-    path: str | os.PathLike[str] | bytes, job: Job, source: IndexedWindows, bench: Bench
-) -> tuple[float, TileDigests]:
-    """Decode the file from disk and compare every sample and the mask.
-
-    Return the largest error, and the digests of tiles if the file is to have them.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than the bound from the original, or valid where that is void.
-    """
-    grid, count = job.grid, bench.counter("proving")
-    proof = Proof((grid.n_rows, grid.n_cols))
-    with comparison_of(path, job, source) as comparison:
-
-        def compare(one: Region | Block) -> Proved:
-            found = comparison.one(one)
-            count(_n_samples(grid, one))
-            return found
-
-        proof.compare(path, comparison.shares(source), compare, bench)
-    count(grid.n_rows * grid.n_cols)  # voids, and what an earlier run has compared
-    return proof.result(job.quantizer)
+        yield Comparison(terrain, source, allowed, job.options.makes_digests, count)
