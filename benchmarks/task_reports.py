@@ -4,9 +4,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 from unittest import mock
 
+from terrainwave.container.depot import Depot, _Entry
+from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.cluster import DistributedPasses
 from terrainwave.write.tasks import workers
 
@@ -33,16 +35,48 @@ class TaskReport(NamedTuple):
 
 
 class _Timed(NamedTuple):
-    """Outcome of a task, with its times."""
+    """Outcome of a task, with its times and the bytes that it read and wrote."""
 
     outcome: Any
     times: tuple[float, float, float]
+    n_bytes: tuple[int, int, int]
+
+
+@contextmanager
+def _counted() -> Iterator[list[int]]:
+    """Count bytes of heights read, and bytes read from the depot and written there."""
+    counts = [0, 0, 0]
+    close, read, create = RasterSource.close, _Entry.read, Depot.create
+
+    def closing(source: RasterSource) -> None:
+        counts[0] += source.n_bytes_read
+        close(source)
+
+    def reading(entry: _Entry, offset: int, length: int) -> bytes:
+        counts[1] += length
+        return read(entry, offset, length)
+
+    @contextmanager
+    def creating(depot: Depot, name: str) -> Iterator[BinaryIO]:
+        with create(depot, name) as file:
+            yield file
+            counts[2] += file.tell()
+
+    with (
+        mock.patch.object(RasterSource, "close", closing),
+        mock.patch.object(_Entry, "read", reading),
+        mock.patch.object(Depot, "create", creating),
+    ):
+        yield counts
 
 
 def _timed(function: Callable[..., Any], *arguments: Any) -> _Timed:
+    """Run a task, the only one of its process at a time."""
     began, start, cpu = time.time(), time.perf_counter(), time.process_time()
-    outcome = function(*arguments)
-    return _Timed(outcome, (began, time.perf_counter() - start, time.process_time() - cpu))
+    with _counted() as counts:
+        outcome = function(*arguments)
+    times = began, time.perf_counter() - start, time.process_time() - cpu
+    return _Timed(outcome, times, (counts[0], counts[1], counts[2]))
 
 
 class TimingExecutor(Executor):
@@ -60,7 +94,7 @@ class TimingExecutor(Executor):
 def reported(report: Callable[[TaskReport], None]) -> Iterator[None]:
     """Call `report` when the client of a `TimingExecutor` takes the result of a task."""
     take, run = workers._outcome, DistributedPasses._run
-    taken: list[tuple[Any, tuple[float, ...]]] = []
+    taken: list[_Timed] = []
 
     def outcome_of(future: Future) -> Any:
         taken.append(take(future))
@@ -71,15 +105,15 @@ def reported(report: Callable[[TaskReport], None]) -> Iterator[None]:
         stage: str,
         function: Callable[..., Any],
         tasks: Mapping[Any, Any],
+        *rest: str,
     ) -> Iterator[tuple[Any, Any]]:
-        for item, result in run(cluster, stage, function, tasks):
-            outcome, times = taken[-1]
-            region, place, meter = cluster._region(item), outcome.place, outcome.meter
+        for item, result in run(cluster, stage, function, tasks, *rest):
+            outcome, times, n_bytes = taken[-1]
+            region, place = cluster._region(item), outcome.place
             report(
                 TaskReport(
                     stage, region.row, region.col, region.n_rows * region.n_cols, place.worker,
-                    place.host, *times, meter.source_bytes, meter.depot_bytes_read,
-                    meter.depot_bytes_written,
+                    place.host, *times, *n_bytes,
                 )
             )  # fmt: skip
             yield item, result

@@ -62,8 +62,13 @@ class Reporter:
             self._last = now
             self._callback(Progress(stage, done, total, n_bytes_in, **more))
 
-    def counter(self, stage: str, total: int, itemsize: int) -> Callable[[int], None]:
-        """Return a counter of finished samples of `itemsize` bytes, for any thread."""
+    def counter(
+        self, stage: str, total: int, itemsize: int, more: Callable[[], dict[str, int]] = dict
+    ) -> Callable[[int], None]:
+        """Return a counter of finished samples of `itemsize` bytes, for any thread.
+
+        `more` returns further fields of `Progress`.
+        """
         lock = threading.Lock()
         done = 0
 
@@ -71,6 +76,6 @@ class Reporter:
             nonlocal done
             with lock:
                 done = min(done + n_samples, total)
-                self.report(stage, done, total, done * itemsize)
+                self.report(stage, done, total, done * itemsize, **more())
 
         return count

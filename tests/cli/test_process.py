@@ -546,7 +546,7 @@ LAYERS = {
         "grid.quantum.HeightScan.quantizer",
         "write.pyramid.Pyramid.build",
         "write.encoder.TreeEncoder.run",
-        "write.passes.coding.measure_meshes",
+        "write.local.measure_meshes",
         "container.spool_sink.SpoolSink.__init__",
         "write.compress.assemble",
         "write.passes.proof.compare_window",

@@ -12,7 +12,7 @@ from fsspec import AbstractFileSystem
 from fsspec.registry import _registry
 
 from terrainwave.container import depot as depots
-from terrainwave.container.depot import Depot, Meter, StoredSegment
+from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.errors import CorruptStreamError, StorageError
 
 
@@ -75,7 +75,7 @@ def store(monkeypatch):
 
 @pytest.fixture
 def depot(store, tmp_path):
-    return Depot("s3://bucket/scratch", Meter(), str(tmp_path))
+    return Depot("s3://bucket/scratch", str(tmp_path))
 
 
 HEIGHTS = np.arange(12).reshape(3, 4)
@@ -137,14 +137,6 @@ def test_segments_are_read_again_where_a_request_fails(depot, store):
     store.fails["get"] = 2
     segment = StoredSegment(depot.path("a"), 0, 4, 16)
     assert (segment.page(), list(segment.sections())) == (b"page", [b" and payload"])
-
-
-def test_bytes_and_names_are_counted(depot):
-    depot.save("a", heights=HEIGHTS)
-    n_bytes = depot.meter.depot_bytes_written
-    assert n_bytes > HEIGHTS.nbytes
-    depot.load("a")
-    assert depot.meter == Meter(0, n_bytes, n_bytes, ["a"])
 
 
 def test_an_unfinished_entry_of_a_directory_is_removed(tmp_path):

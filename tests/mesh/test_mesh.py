@@ -27,6 +27,7 @@ from mesh_cases import (
 
 import terrainwave
 from terrainwave.cli import main
+from terrainwave.container.spool_sink import copied_segments
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
@@ -39,7 +40,7 @@ from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
 from terrainwave.verification.mesh_walk import verify_meshes
-from terrainwave.write.meshes import _copied, store_meshes
+from terrainwave.write.meshes import store_meshes
 
 N_EXAMPLES = 3 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
 
@@ -409,7 +410,9 @@ def with_mesh_code(path, target, block, code):
         for one in (b for level in range(terrain.n_levels) for b in terrain.grid.blocks(level)):
             codes.setdefault(one, container.codes(one)[3])
         with scratch_directory(target.parent, "codes") as directory:
-            spools = _copied(terrain, codes, directory)
+            spools = copied_segments(
+                terrain.grid, terrain.grid.segment_heads(), terrain.container, codes, directory
+            )
             assemble(file, replace(container.header), spools)
             for spool in spools.values():
                 spool.close()

@@ -15,6 +15,7 @@ from twz import mesh_of
 
 import terrainwave
 from terrainwave.cli import main
+from terrainwave.container.spool_sink import copied_segments
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TruncatedStreamError
@@ -24,7 +25,7 @@ from terrainwave.read.decoder import unit_key
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.tri.zerotree.agreement import border_of
 from terrainwave.verification.mesh_walk import verify_meshes
-from terrainwave.write.meshes import _copied, store_meshes
+from terrainwave.write.meshes import store_meshes
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
 # Coded trees are of faithful files alone: tests/codec/test_cdf97.py.
@@ -282,7 +283,9 @@ def with_section(path, target, key, section):
         container = terrain.container
         codes = {block: container.codes(block)[3] for block in blocks_of(terrain)}
         with scratch_directory(target.parent, "section") as directory:
-            spools = _copied(terrain, codes, directory)
+            spools = copied_segments(
+                terrain.grid, terrain.grid.segment_heads(), terrain.container, codes, directory
+            )
             head = None if key.is_root_key else terrain.grid.segment_head(key)
             spools[head].set_mesh(key, section)
             assemble(file, container.header, spools)

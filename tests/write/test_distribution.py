@@ -9,6 +9,7 @@ from clusters import LosingCluster
 from strategies import terrain_like, write_geotiff
 from twz import grouped
 
+from terrainwave.container.depot import Depot
 from terrainwave.errors import ClusterError, InvalidHeightsError
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import METHODS
@@ -175,13 +176,23 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("measure_meshes", [False, True])
-def test_a_depot_may_be_a_url(tmp_path, cluster, measure_meshes):
+@pytest.mark.parametrize("more", [{}, {"measure_meshes": True}, {"mesh": "rqt"}])
+def test_a_depot_may_be_a_url(tmp_path, cluster, monkeypatch, more):
     from fsspec.implementations.memory import MemoryFileSystem
 
+    remove = Depot.remove
+
+    def remove_known(depot, names):
+        """Some stores show late what is there, so all of it must be named."""
+        stored = {path.rpartition("/")[2] for path in MemoryFileSystem.store if "twz" in path}
+        assert stored
+        assert stored <= set(names)
+        remove(depot, names)
+
+    monkeypatch.setattr(Depot, "remove", remove_known)
     heights, profile = RASTERS["four tasks"]
     write_geotiff(tmp_path / "dem.tif", heights, **profile)
-    options = OPTIONS | {"measure_meshes": measure_meshes}
+    options = OPTIONS | more
     compress(tmp_path / "dem.tif", tmp_path / "here.twz", **options)
     url = {"temp_dir": "memory://depot", "task_samples": 1}
     compress(tmp_path / "dem.tif", tmp_path / "there.twz", client=cluster, **url, **options)

@@ -31,6 +31,7 @@ from terrainwave.verification import original
 from terrainwave.verification.original import Original
 from terrainwave.write import encoder
 from terrainwave.write.passes import proof, resuming
+from terrainwave.write.passes.found import Found
 from terrainwave.write.passes.repeats import Repeats
 from terrainwave.write.passes.windows import check_free_space
 
@@ -572,7 +573,7 @@ def test_finished_units_take_little_memory(tmp_path):
             sink.store(head)
             for start in grid.children(head):
                 below = [key for key in keys if key.level > start.level and is_below(key, start)]
-                units.save(start, dict.fromkeys(below, b"payload"), {}, {"left_out": []})
+                units.save(start, Found(payloads=dict.fromkeys(below, b"payload")))
             return len(keys)
 
         heads = grid.blocks(grid.k_max - SEGMENT_LEVELS)[:120]

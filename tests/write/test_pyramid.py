@@ -19,7 +19,7 @@ from terrainwave.grid.quantum import HeightScan
 from terrainwave.raster_io import temporary
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.write import pyramid as pyramid_module
-from terrainwave.write.pyramid import Base, Pyramid, SubtreeRegion
+from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 
 
 class ArraySource:
@@ -360,9 +360,9 @@ class SplitPyramids:
         """Return the base, its heights from the whole pyramid, the rest pushed part by part."""
         heights = self.spool(self.whole.heights(self.level, Region(0, 0, *self.shape)))
         if not self._more["has_voids"]:
-            return Base(SPLIT, heights)
-        dtypes = bool, np.int32, bool, bool
-        spools = [self.spool(np.zeros(self.shape, dtype)) for dtype in dtypes]
+            return Base(SPLIT, {"heights": heights})
+        names = "mask", "averages", "known", "own"
+        spools = [self.spool(np.zeros(self.shape, DTYPES[name])) for name in names]
         for region in PARTS:
             part = self.pyramid(part=SubtreeRegion(region, SPLIT))
             part.push()
@@ -372,7 +372,7 @@ class SplitPyramids:
             for spool, values in zip(spools, found, strict=True):
                 spool.write(at, values)
             part.close()
-        return Base(SPLIT, heights, *spools)
+        return Base(SPLIT, {"heights": heights, **dict(zip(names, spools, strict=True))})
 
 
 @pytest.fixture(params=["nested", "lowpass"])

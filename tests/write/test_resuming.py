@@ -180,9 +180,9 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     units, reads = [], []
     encode, read = UnitEncoder._encode_unit, RasterSource.read
 
-    def noting(self, key, *rest):
-        units.append(key)
-        return encode(self, key, *rest)
+    def noting(self, start):
+        units.append(start.key)
+        return encode(self, start)
 
     def reading(self, *window):
         reads.append(window)
@@ -194,7 +194,7 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     monkeypatch.setattr(UnitEncoder, "_encode_unit", noting)
     monkeypatch.setattr(RasterSource, "read", reading)
     with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.prove", failing)
+        broken.setattr("terrainwave.write.local.LocalPasses.prove", failing)
         with pytest.raises(StorageError, match="no proof"):
             terrainwave.compress(raster, target, **OPTIONS)
     first, first_reads = len(units), len(reads)
@@ -213,7 +213,7 @@ def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     arguments = ["compress", str(raster), str(target), "--block", "32", "--max-error", "1"]
     with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.prove", failing)
+        broken.setattr("terrainwave.write.local.LocalPasses.prove", failing)
         result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 1
     error, note = result.stderr.splitlines()
@@ -232,7 +232,7 @@ def interrupted(target, source, monkeypatch, **options):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.prove", stopping)
+        broken.setattr("terrainwave.write.local.LocalPasses.prove", stopping)
         with pytest.raises(KeyboardInterrupt) as caught:
             terrainwave.compress(source, target, **OPTIONS | options)
     return caught.value
@@ -402,7 +402,7 @@ def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, ras
     assert hidden_in(tmp_path) == []
 
 
-def stopped(monkeypatch, work, at="terrainwave.write.local.encode"):
+def stopped(monkeypatch, work, at="terrainwave.write.local.LocalPasses.encode"):
     """Run `work` to a failure after the scan, which leaves what is finished."""
 
     def failing(*_):
@@ -454,7 +454,7 @@ def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone
     def work():
         terrainwave.compress(source, target, overwrite=True, **OPTIONS)
 
-    stopped(monkeypatch, work, "terrainwave.write.local.prove")
+    stopped(monkeypatch, work, "terrainwave.write.local.LocalPasses.prove")
     (folder,) = tmp_path.glob(".*.twz-kept")
     (folder / f"{gone}.array").unlink()
     work()

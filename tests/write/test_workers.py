@@ -19,17 +19,6 @@ from terrainwave.write.tasks.workers import Workers
 TASKS = {number: (number,) for number in range(6)}
 
 
-class Square:
-    """A task's first argument, which is all that it needs."""
-
-    def __init__(self, number):
-        self.number = number
-
-    def at(self, meter, folder):
-        meter.names.append(f"entry-{self.number}")
-        return self
-
-
 class Client:
     """Has the parts of a dask client that are used, and workers that are threads.
 
@@ -81,10 +70,10 @@ class ClientExecutor(Executor):
 here = threading.local()
 
 
-def squared(task):
+def squared(number):
     if here.worker in here.client.broken:
         raise here.client.error
-    return task.number**2
+    return number**2
 
 
 @pytest.fixture
@@ -106,8 +95,7 @@ def make_client(monkeypatch):
 
 
 def run(client):
-    tasks = {number: (Square(number),) for number in TASKS}
-    return dict(Workers(client).run("encoding", squared, tasks))
+    return dict(Workers(client).run("encoding", squared, TASKS))
 
 
 def full():
@@ -170,15 +158,6 @@ def test_a_task_whose_workers_are_gone_is_given_to_others(make_client):
     assert {worker for _, worker in client.given} == {"a", "b", "c"}
 
 
-def test_what_tasks_have_left_is_known_though_they_failed(make_client):
-    client = make_client(["a", "b", "c"], broken=["b"], error=full())
-    known = Workers(client)
-    tasks = {number: (Square(number),) for number in TASKS}
-    with pytest.warns(TerrainwaveWarning):
-        list(known.run("encoding", squared, tasks))
-    assert set(known.names) == {f"entry-{number}" for number in TASKS}
-
-
 def test_a_cluster_without_workers_is_one_note(make_client, monkeypatch):
     monkeypatch.setattr(workers, "_LONELY_SECONDS", 0.05)
     client = make_client(["a"], slow=["a"])
@@ -190,9 +169,8 @@ def test_a_cluster_without_workers_is_one_note(make_client, monkeypatch):
     thread = threading.Thread(target=return_later)
     client.nthreads = dict
     thread.start()
-    tasks = {1: (Square(1),)}
     with pytest.warns(TerrainwaveWarning) as notes:
-        list(Workers(client).run("encoding", squared, tasks))
+        list(Workers(client).run("encoding", squared, {1: (1,)}))
     thread.join()
     (note,) = notes
     assert "the cluster has no workers: 1 task of encoding wait" in str(note.message)

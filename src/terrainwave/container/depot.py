@@ -16,7 +16,7 @@ import time
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
@@ -49,16 +49,6 @@ _ADVICE = "; free space there, or name another directory or URL with `temp_dir`"
 Result = TypeVar("Result")
 
 
-@dataclass
-class Meter:
-    """Traffic of one task, or one client: bytes read and written, and names in the depot."""
-
-    source_bytes: int = 0
-    depot_bytes_read: int = 0
-    depot_bytes_written: int = 0
-    names: list[str] = field(default_factory=list)
-
-
 class StoredSegment(NamedTuple):
     """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
 
@@ -75,7 +65,7 @@ class StoredSegment(NamedTuple):
         return self._read(self.page_length, self.length)
 
     def _read(self, first: int, end: int) -> Iterator[bytes]:
-        entry = _Entry(self.path, Meter())
+        entry = _Entry(self.path)
         try:
             for start in range(first, end, _CHUNK):
                 yield entry.read(self.offset + start, min(_CHUNK, end - start))
@@ -97,9 +87,8 @@ def _again(what: str, call: Callable[[], Result]) -> Result:
 class _Entry:
     """An open entry of a depot; failed reads are retried."""
 
-    def __init__(self, path: str, meter: Meter) -> None:
+    def __init__(self, path: str) -> None:
         self._path = path
-        self._meter = meter
         self._source: ByteSource = self._again(lambda: open_source(path))
 
     @property
@@ -109,9 +98,7 @@ class _Entry:
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly these bytes."""
-        data = self._again(lambda: self._source.read(offset, length))
-        self._meter.depot_bytes_read += length
-        return data
+        return self._again(lambda: self._source.read(offset, length))
 
     def close(self) -> None:
         self._source.close()
@@ -129,18 +116,12 @@ class Depot:
 
     Parameters
     ----------
-    meter : Meter
-        Counts the traffic of this object; it is not sent to other machines.
     directory : str, optional
         Directory for entries before they are uploaded; by default the system's.
     """
 
     root: str
-    meter: Meter = field(default_factory=Meter, compare=False)
-    directory: str | None = field(default=None, compare=False)
-
-    def __reduce__(self) -> tuple[type["Depot"], tuple[str]]:
-        return Depot, (self.root,)
+    directory: str | None = None
 
     def path(self, name: str) -> str:
         """Return the path or URL of an entry."""
@@ -165,9 +146,6 @@ class Depot:
         )
         with making as file:
             yield file
-            n_bytes = file.tell()
-        self.meter.depot_bytes_written += n_bytes
-        self.meter.names.append(name)
 
     @contextmanager
     def _put(self, filesystem: Any, target: str, where: str) -> Iterator[BinaryIO]:
@@ -226,7 +204,7 @@ class Depot:
 
     def open(self, path: str) -> _Entry:
         """Open an entry for reading, by its path or URL."""
-        return _Entry(path, self.meter)
+        return _Entry(path)
 
     def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
         """Copy an entry to a local file.
@@ -312,7 +290,6 @@ class StoredSegments:
     Parameters
     ----------
     depot : Depot
-        Its meter counts the bytes read.
     place : callable
         Returns the position of a segment, by its head.
     """

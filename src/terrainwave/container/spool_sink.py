@@ -2,11 +2,12 @@
 
 import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Protocol
 
 from terrainwave.container.depot import StoredSegment
-from terrainwave.container.page import page_layout
-from terrainwave.container.spool import LikeSegment, SegmentSpool
+from terrainwave.container.page import N_CODES, page_layout
+from terrainwave.container.spool import TEMPORARY_ADVICE, LikeSegment, SegmentSpool
 from terrainwave.container.writer import SegmentStore
 from terrainwave.grid.quadtree import Block, Grid
 
@@ -17,8 +18,6 @@ class SpoolSink:
     `spools` has the segments with payloads. None marks a segment that is void with all below it,
     which have no entries. A repeated segment names the one that it equals.
     """
-
-    takes_repeats = True
 
     def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
         self._grid = grid
@@ -100,3 +99,36 @@ class SpoolSink:
             key = spool.key_there(key, head)
             spool = self.spools[spool.head]
         return next(spool.chunks([key])) if isinstance(spool, SegmentSpool) else b""
+
+
+class Stored(Protocol):
+    """Payloads, meshes and codes of segments that exist."""
+
+    def payloads(self, keys: Sequence[Block]) -> list[bytes]: ...
+
+    def mesh(self, key: Block) -> bytes: ...
+
+    def codes(self, block: Block) -> tuple[int, int, int, int]: ...
+
+
+def copied_segments(
+    grid: Grid,
+    heads: Iterable[Block | None],
+    stored: Stored,
+    mesh_codes: Mapping[Block, int],
+    directory: str | os.PathLike[str],
+    sections: Mapping[Block, bytes] | None = None,
+    advice: str = TEMPORARY_ADVICE,
+) -> dict[Block | None, SegmentSpool]:
+    """Return segments with other codes of mesh errors, and other mesh sections if any are given."""
+    spools: dict[Block | None, SegmentSpool] = {}
+    for head in heads:
+        spool = spools[head] = SegmentSpool(directory, advice=advice)
+        for key in page_layout(grid, head).keys:
+            codes = bytearray()
+            for block in grid.key_blocks(key):
+                codes += bytes([*stored.codes(block)[: N_CODES - 1], mesh_codes.get(block, 0)])
+            mesh = stored.mesh(key) if sections is None else sections.get(key, b"")
+            spool.add(key, stored.payloads([key])[0], codes=bytes(codes), mesh=mesh)
+        spool.finish()
+    return spools

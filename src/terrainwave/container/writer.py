@@ -5,6 +5,7 @@ import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from itertools import count
 from typing import BinaryIO, NamedTuple
@@ -219,6 +220,8 @@ def store_segments(
 ) -> dict[Block | None, StoredSegment]:
     """Store segments in the order of `heads` in one file of a depot; return their positions.
 
+    Behind them are their lengths, for `stored_places`.
+
     `heads` have parents before children. Children outside of `heads` count as absent: their lengths
     in a page are 0 until `assemble` sets them.
     """
@@ -238,8 +241,8 @@ def store_segments(
                 file.write(_page_bytes(head, spools, part, 0))
                 for chunk in _sections(grid, head, spools):
                     file.write(chunk)
-    lengths = [(place.page_length, place.length) for place in places.values()]
-    depot.save(_index_name(name), lengths=np.array(lengths, dtype=np.uint64))
+        lengths = [(place.page_length, place.length) for place in places.values()]
+        file.write(np.array(lengths, dtype="<u8").tobytes())
     return places
 
 
@@ -248,8 +251,10 @@ def stored_places(
 ) -> dict[Block | None, StoredSegment]:
     """Return the result of `store_segments` for the same name and heads."""
     places, offset = {}, 0
-    lengths = depot.load(_index_name(name))["lengths"].tolist()
-    for head, (of_page, length) in zip(heads, lengths, strict=True):
+    with closing(depot.open(depot.path(name))) as entry:
+        n_bytes = 16 * len(heads)
+        ends = np.frombuffer(entry.read(entry.size - n_bytes, n_bytes), "<u8").reshape(-1, 2)
+    for head, (of_page, length) in zip(heads, ends.tolist(), strict=True):
         places[head] = StoredSegment(depot.path(name), offset, of_page, length)
         offset += length
     return places
@@ -265,10 +270,6 @@ def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
     while head is not None and head not in segments and head.level:
         head = grid.segment_head(head.parent)
     return head is not None and _is_void(head, segments)
-
-
-def _index_name(name: str) -> str:
-    return f"{name}.index"
 
 
 def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:

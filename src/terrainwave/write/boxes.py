@@ -7,26 +7,60 @@ from terrainwave.container.codes import decode_error, decode_range, encode_error
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import unmeasured_codes
-from terrainwave.write.encoder import Stats
 from terrainwave.write.job import Job
+from terrainwave.write.passes.found import Stats
 
 Box = tuple[int, int]
 
-_NONE: Mapping[Block, int] = {}
+_NONE: Mapping[Block, Box] = {}
+_NO_ERRORS: Mapping[Block, int] = {}
 
 
-def error_codes(
-    stats: Stats, lost: int, bound: int | None = None, below: Mapping[Block, int] = _NONE
-) -> dict[Block, int]:
-    """Return the codes of errors: measured ones plus `lost` quanta, or `recursive_errors`."""
-    if bound is None:
-        return {block: encode_error(own.error + lost) for block, own in stats.items()}
-    errors = recursive_errors(stats, lost, bound, below)
-    return {block: encode_error(-(-error // 4)) for block, error in errors.items()}
+class Codes:
+    """Boxes and errors of blocks, by their statistics.
+
+    Parameters
+    ----------
+    below_boxes, below_errors : mapping
+        Of blocks whose children `stats` lacks: the ranges below them, and in a faithful file their
+        errors (`recursive_errors`).
+
+    Attributes
+    ----------
+    errors : dict
+        Codes of errors: measured ones plus what is lost by rounding, or `recursive_errors`.
+    boxes : dict
+        Ranges in quanta (`enclosing_boxes`).
+    """
+
+    def __init__(
+        self,
+        job: Job,
+        stats: Stats,
+        below_boxes: Mapping[Block, Box] = _NONE,
+        below_errors: Mapping[Block, int] = _NO_ERRORS,
+    ) -> None:
+        self._job, self._stats = job, stats
+        self._whole = job.quantizer.z_min, job.quantizer.z_max
+        if job.recursion_bound is None:
+            found = {block: own.error + job.lost for block, own in stats.items()}
+        else:
+            quarters = recursive_errors(stats, job.lost, job.recursion_bound, below_errors)
+            found = {block: -(-error // 4) for block, error in quarters.items()}
+        self.errors = {block: encode_error(error) for block, error in found.items()}
+        self.boxes = enclosing_boxes(stats, self.errors, self._whole, below_boxes, job.moved)
+
+    def set(
+        self, spools: Iterable[SegmentSpool], mesh_errors: Mapping[Block, int] | None = None
+    ) -> None:
+        """Set the codes of all blocks; `mesh_errors` of meshes that are measured."""
+        if mesh_errors is None:
+            mesh_errors = unmeasured_mesh_codes(self._job, self._stats, self.errors)
+        set_codes(self._job.grid, spools, self._whole, self.boxes, self.errors, mesh_errors)
 
 
 def recursive_errors(
-    stats: Stats, lost: int, bound: int, below: Mapping[Block, int] = _NONE
+    stats: Stats, lost: int, bound: int, below: Mapping[Block, int] = _NO_ERRORS
 ) -> dict[Block, int]:
     """Return Err_Appr of every block, by equation (2) of Yusov & Turlapov 2010, in 1/4 quanta.
 

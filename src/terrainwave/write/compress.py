@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, BinaryIO, cast
 
 from terrainwave.arguments import (
     TWZ_ENDINGS,
@@ -25,7 +25,6 @@ from terrainwave.arguments import (
     checked_whole,
 )
 from terrainwave.codec.method_options import MethodChoice, MethodOptions
-from terrainwave.container.depot import Depot
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import (
@@ -37,7 +36,6 @@ from terrainwave.container.targets.unfinished import Part, only_writer
 from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
-from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid
 from terrainwave.place.units import height_unit
@@ -48,17 +46,16 @@ from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undecl
 from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
+    Cluster,
     DistributedPasses,
-    shared_raster,
     task_level,
 )
 from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import earlier_of, for_heights_of
 from terrainwave.write.job import Job, fixed_steps, settled
-from terrainwave.write.local import LocalPasses
-from terrainwave.write.passes.coding import Coded, smaller
+from terrainwave.write.local import Coded, LocalPasses, smaller
+from terrainwave.write.passes.bench import AskedRaster, Bench
 from terrainwave.write.passes.resuming import run_directory, taken_up
-from terrainwave.write.subtrees import RasterPlace
 from terrainwave.write.tasks.workers import Workers
 
 _log = logging.getLogger(__name__)
@@ -238,22 +235,8 @@ def compress(
     `dst`. The same call continues it (docs/how-to/resume.md). This needs 2^26 samples or more, and
     no `client`.
     """
-    options = Options(
-        max_error=max_error,
-        method=method,
-        block=block,
-        effort=effort,
-        mesh=mesh,
-        mesh_error=mesh_error,
-        measure_meshes=measure_meshes,
-        height_range=height_range,
-        strict=strict,
-        stable=stable,
-        keep_origin=keep_origin,
-        digest=digest,
-        verify=verify,
-        threads=threads,
-    )
+    given = locals()
+    options, raster = Options(**_own(Options, given)), AskedRaster(**_own(AskedRaster, given))
     check_flags(overwrite=overwrite, fresh=fresh)
     if task_samples is not None:
         task_samples = checked_whole("task_samples", task_samples, least=1)
@@ -263,10 +246,9 @@ def compress(
     cluster = None
     if client is not None:
         _refuse_tiles(options)
-        is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
-        raster = shared_raster(src, band, nodata, heights_are)
-        url, temp_dir = (temp_dir, None) if is_remote else (None, temp_dir)
-        cluster = _Cluster(Workers(client), raster, url, task_samples or TASK_SAMPLES)
+        url = None if temp_dir is None or "://" not in os.fspath(temp_dir) else os.fspath(temp_dir)
+        temp_dir = temp_dir if url is None else None
+        cluster = Cluster(Workers(client), raster.shared(), url, task_samples or TASK_SAMPLES)
     elif task_samples is not None:
         raise InvalidArgumentError(
             f"found `task_samples` {task_samples} without a client, expected both or none of them"
@@ -275,37 +257,24 @@ def compress(
     refuse_own_source(src, dst)
     refuse_raster(dst)
     name = os.fspath(dst)
-    is_url = "://" in name
-    if is_url and cluster is not None:
+    if "://" in name and cluster is not None:
         raise _url_beside_client(name)
-    of_source: dict[str, Any] = {"band": band, "nodata": nodata, "georeference": georeference}
-    of_source["heights_are"] = heights_are
-    coded = [options.to_metadata(), keep_origin]
-    depends_on = {"command": "compress", **of_source, "nodata": repr(nodata), "options": coded}
+    asked = {**_own(AskedRaster, given), "nodata": repr(nodata)}
+    del asked["src"]  # by its files or heights
+    depends_on = {"command": "compress", **asked, "options": [options.to_metadata(), keep_origin]}
     with (
         _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
-        raster_source(src, **of_source) as source,
+        raster.open(warn=True) as source,
         _directory(
             name, src, source, depends_on, temp_dir, fresh=fresh, is_kept=cluster is None
         ) as (directory, kept),
+        Crew(options.n_threads) as crew,
     ):
-        written = _write(part.file, part.path, source, options, directory, reporter, cluster, kept)
-        n_bytes = os.path.getsize(part.path)
-    _warn_of(written.marks)
-    n_samples = math.prod(source.info.shape)
-    return CompressResult(
-        path=display_name(name) if is_url else name,
-        n_bytes=n_bytes,
-        n_samples=n_samples,
-        bits_per_sample=8 * n_bytes / n_samples,
-        ratio=source.info.n_bytes / n_bytes,
-        max_error=written.max_error,
-        effective_error=written.effective_error,
-        measured_error=written.measured_error,
-        units=height_unit(source.info.units, source.info.crs).name,
-        method=written.method,
-        notes=[*options.notes, *source.notes, *written.marks, *written.notes, *taken_up(kept)],
-    )
+        bench = Bench(source, directory, crew, reporter, kept)
+        with closing(_passes(bench, options, cluster)) as passes:
+            result, marks = _write(part.file, part.path, name, options, passes)
+    _warn_of(marks)
+    return result
 
 
 def compress_to_bytes(
@@ -330,28 +299,23 @@ def compress_to_bytes(
     For arrays that fit into memory: chunks of a store, cells of a database. Options, bound and
     errors are those of `compress`, except that `mesh` is ``"none"`` and `digest` False by default.
     """
-    options = Options(
-        max_error=max_error,
-        method=method,
-        block=block,
-        effort=effort,
-        mesh=mesh,
-        strict=strict,
-        stable=stable,
-        digest=digest,
-        verify=verify,
-        threads=threads,
-    )
+    given = locals()
+    options, raster = Options(**_own(Options, given)), AskedRaster(**_own(AskedRaster, given))
     file = io.BytesIO()
     with (
-        raster_source(
-            src, nodata=nodata, georeference=georeference, heights_are=heights_are
-        ) as source,
+        raster.open(warn=True) as source,
         system_scratch() as directory,
+        Crew(options.n_threads) as crew,
+        closing(LocalPasses(Bench(source, directory, crew))) as passes,
     ):
-        written = _write(file, None, source, options, directory, Reporter(None))
-    _warn_of(written.marks)
+        _, marks = _write(file, None, "", options, passes)
+    _warn_of(marks)
     return file.getvalue()
+
+
+def _own(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a function that are a kind's own, a dataclass or named tuple."""
+    return {name: given[name] for name in kind.__annotations__.keys() & given.keys()}
 
 
 def _url_beside_client(name: str) -> InvalidArgumentError:
@@ -410,66 +374,55 @@ def _warn_of(notes: list[str]) -> None:
         warnings.warn(note, TerrainwaveWarning, stacklevel=3)
 
 
-@dataclass(frozen=True)
-class _Written:
-    """Contents of a finished file that its user needs; errors in physical units."""
-
-    method: str
-    max_error: float
-    effective_error: float
-    measured_error: float | None
-    notes: list[str]
-    marks: list[str]
-
-
 def _write(
     file: BinaryIO,
     path: Path | None,
-    source: RasterSource,
+    name: str,
     options: Options,
-    directory: Path,
-    reporter: Reporter,
-    cluster: "_Cluster | None" = None,
-    kept: Kept | None = None,
-) -> _Written:
-    """Write the .twz of `source` to `file`, whose path is `path` (None in memory), and prove it."""
-    grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
-    with Crew(options.n_threads) as executor:
-        has_digest = options.keep_origin
-        made = _passes(
-            source, grid, directory, executor, reporter, cluster, kept, has_digest=has_digest
-        )
-        with closing(made) as passes:
-            left = for_heights_of(source, options)
-            scan = passes.scan(fixed_steps(left, source.info))
-            info, marks = source.with_meaning(scan.minimum, scan.maximum)
-            marks += note_on_undeclared(source, scan.minimum, scan.maximum)
-            marks += note_on_marks(source, scan.minimum, scan.maximum)
-            earlier = earlier_of(source, options, scan.steps)
-            job, notes = settled(left, scan, info, earlier)
-            coded = _coded(passes, job, options.choice, source.info.n_bytes)
-            if coded.job.options.named_method != options.named_method:
-                notes.append("the heights do not compress: stored raw")
-            job = coded.job
-            header = job.header(coded.file_tables)
-            extents = assemble(file, header, coded.segments)
-            measured = None
-            if options.verify:
-                finished = path or cast(io.BytesIO, file).getvalue()
-                measured, tiles = passes.prove(finished, job)
-                if options.makes_digests:
-                    append_digests(file, header, extents, tiles.tree())
-            coded.close()
-    scale = abs(source.info.scale)
+    passes: LocalPasses | DistributedPasses,
+) -> tuple[CompressResult, list[str]]:
+    """Write the .twz of a raster to `file`, whose path is `path` (None in memory), and prove it.
+
+    Return the result and what to warn of. The file will be called `name`.
+    """
+    source = passes.bench.source
+    left = for_heights_of(source, options)
+    scan = passes.scan(fixed_steps(left, source.info))
+    info, marks = source.with_meaning(scan.minimum, scan.maximum)
+    marks += note_on_undeclared(source, scan.minimum, scan.maximum)
+    marks += note_on_marks(source, scan.minimum, scan.maximum)
+    job, notes = settled(left, scan, info, earlier_of(source, options, scan.steps))
+    coded = _coded(passes, job, options.choice, source.info.n_bytes)
+    if coded.job.options.named_method != options.named_method:
+        notes.append("the heights do not compress: stored raw")
+    job = coded.job
+    header = job.header(coded.file_tables)
+    extents = assemble(file, header, coded.segments)
+    measured = None
+    if options.verify:
+        finished = path or cast(io.BytesIO, file).getvalue()
+        measured, tiles = passes.prove(finished, job)
+        if options.makes_digests:
+            append_digests(file, header, extents, tiles.tree())
+    coded.close()
+    info = source.info
+    scale, n_bytes, n_samples = abs(info.scale), file.tell(), math.prod(info.shape)
     moved = job.moved_error * scale
-    return _Written(
-        method=job.options.named_method.name,
+    kept = passes.bench.kept
+    result = CompressResult(
+        path=display_name(name) if "://" in name else name,
+        n_bytes=n_bytes,
+        n_samples=n_samples,
+        bits_per_sample=8 * n_bytes / n_samples,
+        ratio=info.n_bytes / n_bytes,
         max_error=float(job.bound) + moved,
         effective_error=min(job.effective_error * scale, float(job.bound)) + moved,
         measured_error=None if measured is None else measured * scale,
-        notes=notes,
-        marks=marks,
+        units=height_unit(info.units, info.crs).name,
+        method=job.options.named_method.name,
+        notes=[*options.notes, *source.notes, *marks, *notes, *taken_up(kept)],
     )
+    return result, marks
 
 
 def _coded(
@@ -485,48 +438,13 @@ def _coded(
     return coded
 
 
-class _Cluster(NamedTuple):
-    """Workers, the raster as they open it, and the URL of the depot (None if it is local)."""
-
-    workers: Workers
-    raster: RasterPlace
-    url: str | os.PathLike[str] | None
-    task_samples: int
-
-
 def _passes(
-    source: RasterSource,
-    grid: Grid,
-    directory: Path,
-    executor: Crew,
-    reporter: Reporter,
-    cluster: _Cluster | None,
-    kept: Kept | None,
-    *,
-    has_digest: bool,
+    bench: Bench, options: Options, cluster: Cluster | None
 ) -> LocalPasses | DistributedPasses:
     """Return the passes of a cluster, or of this process if the raster is too small for a task."""
+    info, has_digest = bench.source.info, options.keep_origin
+    grid = Grid(info.n_rows, info.n_cols, options.block)
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
-        return LocalPasses(source, directory, executor, reporter, has_digest, kept or Kept())
-    return DistributedPasses(
-        cluster.workers,
-        cluster.raster,
-        source,
-        grid,
-        level,
-        Depot(_depot_root(cluster.url, directory)),
-        directory,
-        executor,
-        reporter,
-        has_digest,
-    )
-
-
-def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
-    """Return the place of the tasks' results: below a URL, or in a local directory."""
-    if url is not None:
-        return f"{os.fspath(url).rstrip('/')}/{directory.name}"
-    depot = directory.absolute() / "depot"
-    depot.mkdir()
-    return str(depot)
+        return LocalPasses(bench, has_digest)
+    return DistributedPasses(bench, cluster, grid, level, has_digest)

@@ -5,13 +5,12 @@ memory, and subtrees run in parallel, in threads or on many machines. The result
 their order.
 """
 
-import copy
 import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.block_stats import (
     BlockStats,
     distance_of_children,
@@ -31,41 +31,13 @@ from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
-from terrainwave.write.passes.repeats import RepeatingSink, Repeats
+from terrainwave.write.passes.found import Found, Stats
+from terrainwave.write.passes.repeats import Repeats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
 # On levels with fewer blocks, threads share units instead of subtrees.
 _MIN_SUBTREES = 8
-
-Stats = dict[Block, BlockStats]
-
-
-class PayloadSink(RepeatingSink, Protocol):
-    """Destination of finished payloads; called from several threads, in any order."""
-
-    def leave_out(self, block: Block) -> None:
-        """Record that all units below a block are void."""
-        ...
-
-
-class _Taken:
-    """Keeps the payloads of a subtree, including those of repeated segments."""
-
-    takes_repeats = False
-
-    def __init__(self) -> None:
-        self.payloads: dict[Block, bytes] = {}
-        self.left_out: list[Block] = []
-
-    def __call__(self, key: Block, payload: bytes) -> None:
-        self.payloads[key] = payload
-
-    def leave_out(self, block: Block) -> None:
-        self.left_out.append(block)
-
-    def repeat(self, head: Block, like: Block) -> None:
-        raise AssertionError(f"{head} is coded by itself")
 
 
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tuple[Refiner, bytes]:
@@ -104,8 +76,16 @@ def distance_of(
     return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
 
 
-# Key of a unit, the decoded block above it, and that block's ancestors including itself.
-Start = tuple[Block, Decoded | None, list[Ancestor]]
+class Start(NamedTuple):
+    """Unit to code: its key, the decoded block above it, that block's ancestors and itself.
+
+    `found` takes the results.
+    """
+
+    key: Block
+    parent: Decoded | None
+    chain: list[Ancestor]
+    found: Found
 
 
 class UnitEncoder(ABC):
@@ -128,7 +108,7 @@ class UnitEncoder(ABC):
         grid: Grid,
         parameters: CodecParameters,
         pyramid: Pyramid,
-        sink: PayloadSink,
+        sink: SpoolSink,
         on_samples: Callable[[int], None],
         last_level: int | None = None,
         on_unit: Callable[[Block, Decoded], None] | None = None,
@@ -137,37 +117,36 @@ class UnitEncoder(ABC):
         self._grid = grid
         self._parameters = parameters
         self._pyramid = pyramid
-        self._sink = sink
+        self.found = Found(sink)
         self._on_samples = on_samples
         self._on_unit = on_unit
         self._last_level = grid.k_max if last_level is None else last_level
         # Called, from any thread, with the head of a finest segment whose units are all coded, and
         # the statistics of the blocks below it, which are then dropped.
         self.on_segment: Callable[[Block, Stats], None] | None = None
-        self._stats: Stats = {}
-        self._lock = threading.Lock()
         self._stopped = threading.Event()
         self._kept_units = kept
+        self._kept_level = -1 if kept is None else kept.level
+        # The level of subtrees after which finest segments are passed on: all are kept then.
+        finest = grid.k_max - SEGMENT_LEVELS
+        self._finished_level = min(finest, self._kept_level) if self._kept_level >= 0 else finest
 
     def run(self, crew: Crew) -> Stats:
         """Encode down to the last level; return range and measured error of every block.
 
         Without the finest level, nothing is measured.
         """
-        crew.grow(lambda start: self._encode_part(*start), self._starts())
-        return self._stats
+        starts = [Start(key, None, [], self.found) for key in self._grid.root_keys()]
+        crew.grow(self._encode_part, starts)
+        return self.found.stats
 
-    def _starts(self) -> list[Start]:
-        return [(key, None, []) for key in self._grid.root_keys()]
-
-    def _encode_part(
-        self, key: Block, parent: Decoded | None, chain: list[Ancestor]
-    ) -> list[Start]:
+    def _encode_part(self, start: Start) -> list[Start]:
         """Encode a subtree, or the first unit of a large one; return the rest below it."""
+        key = start.key
         try:
             if key.is_root_key or math.prod(self._grid.level_blocks(key.level)) < _MIN_SUBTREES:
-                return self._encode_unit(key, parent, chain)
-            self._encode_subtree(key, parent, chain)
+                return self._encode_unit(start)
+            self._encode_subtree(start)
         except BaseException:
             # After Ctrl-C or on a full disk, subtrees in other threads end at their next unit.
             self._stopped.set()
@@ -184,149 +163,109 @@ class UnitEncoder(ABC):
         for level in range(head.level + 1):
             block = Block(level, head.row >> head.level - level, head.col >> head.level - level)
             chain.append(self._ancestor(block, decoded(block)))
-        self._encode_subtree(head, decoded(head), chain)
-        return self._stats
+        self._encode_subtree(Start(head, decoded(head), chain, self.found))
+        return self.found.stats
 
-    def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
-        if self._is_known(key, parent, chain):
+    def _encode_subtree(self, start: Start) -> None:
+        if self._is_known(start):
             return
-        if (
-            self._kept_units is not None
-            and key.level == self._kept_units.level
-            and not key.is_root_key
-        ):
-            self._encode_kept(self._kept_units, key, parent, chain)
-            self._finish_segments(self._finest_heads(key))
-            return
-        for start in self._encode_unit(key, parent, chain):
-            if not self._stopped.is_set():
-                self._encode_subtree(*start)
-        if key.level == self._grid.k_max - SEGMENT_LEVELS:
-            self._finish_segments([key])
+        if start.key.level == self._kept_level and start.found is self.found:
+            self._encode_kept(start)
+        else:
+            for below in self._encode_unit(start):
+                if not self._stopped.is_set():
+                    self._encode_subtree(below)
+        if start.key.level == self._finished_level and start.found is self.found:
+            self._finish_segments(start.key)
 
-    def _finest_heads(self, key: Block) -> list[Block]:
-        """Return the blocks that begin the finest segments of a subtree."""
-        heads, level = [key], self._grid.k_max - SEGMENT_LEVELS
-        while heads[0].level < level:
-            heads = self._grid.all_children(heads)
-        return heads if heads[0].level == level else []
+    def _encode_kept(self, start: Start) -> None:
+        """Take a subtree from an earlier run's work, or encode and store it."""
+        assert self._kept_units is not None
+        found = self._kept_units.load(start.key)
+        if found is None:
+            found = Found()
+            self._encode_subtree(start._replace(found=found))
+            if self._stopped.is_set():
+                return
+            self._kept_units.save(start.key, found)
+        else:
+            self._count(start.key)
+        start.found.take(found)
 
-    def _finish_segments(self, heads: list[Block]) -> None:
-        """Pass on finest segments whose units are all coded."""
+    def _finish_segments(self, key: Block) -> None:
+        """Pass on the finest segments of a subtree whose units are all coded."""
+        grid, heads = self._grid, [key]
+        while heads[0].level < grid.k_max - SEGMENT_LEVELS:
+            heads = grid.all_children(heads)
         for head in heads:
             if self.on_segment is None or self._stopped.is_set():
                 return
-            if self._grid.segment_head(head) == head:
-                self.on_segment(head, self._taken_below(head))
+            if grid.segment_head(head) == head:
+                groups = grid.segment_groups(head)
+                blocks = [block for group in groups for block in grid.children(group)]
+                self.on_segment(head, self.found.taken(blocks))
 
-    def _taken_below(self, head: Block) -> Stats:
-        """Remove and return the statistics of a finished segment's blocks."""
-        blocks = [
-            block for key in self._grid.segment_groups(head) for block in self._grid.children(key)
-        ]
-        with self._lock:
-            return {block: self._stats.pop(block) for block in blocks if block in self._stats}
-
-    def _is_known(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> bool:
+    def _is_known(self, start: Start) -> bool:
         """Return whether the source knows that all below a block is void, or of one height.
 
         Voids are then left out, and units of one height passed on.
         """
-        grid = self._grid
-        if key.is_root_key or parent is None:
+        key = start.key
+        if start.parent is None:
             return False
-        even = self._pyramid.even(key.level, grid.block_region(key))
+        even = self._pyramid.even(key.level, self._grid.block_region(key))
         if even is None:
             return False
         if not even.is_valid:
-            self._sink.leave_out(key)
-        elif not self.repeats(key, parent, chain, int(even.value)):
+            start.found.leave_out(key)
+        elif not self.repeats(start, start.parent, int(even.value)):
             return False
-        region = grid.full_region(key)
-        self._on_samples(region.n_rows * region.n_cols)
+        self._count(key)
         return True
 
-    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+    def _count(self, block: Block) -> None:
+        """Report that all below a block is coded."""
+        region = self._grid.full_region(block)
+        self._on_samples(region.n_rows * region.n_cols)
+
+    def repeats(self, start: Start, parent: Decoded, target: int) -> bool:
         """Pass on all units below a block of one height if possible; not in this class."""
         return False
 
-    def _encode_kept(
-        self, kept: KeptUnits, key: Block, parent: Decoded | None, chain: list[Ancestor]
-    ) -> None:
-        """Take a subtree from an earlier run's work, or encode and store it."""
-        found = kept.load(key)
-        if found is None:
-            part = self.apart(chain)
-            part._sink = taken = _Taken()
-            part._encode_subtree(key, parent, chain)
-            if self._stopped.is_set():
-                return
-            more = part.found(chain) | {"left_out": [list(block) for block in taken.left_out]}
-            found = taken.payloads, part._stats, more
-            kept.save(key, *found)
-        else:
-            region = self._grid.full_region(key)
-            self._on_samples(region.n_rows * region.n_cols)
-        payloads, stats, more = found
-        for unit, payload in payloads.items():
-            self._sink(unit, payload)
-        for block in more["left_out"]:
-            self._sink.leave_out(Block(*block))
-        with self._lock:
-            self.take(more)
-        self._note(stats)
-
-    def apart(self, chain: list[Ancestor]) -> Self:
-        """Return an encoder of a subtree below `chain` with separate results."""
-        part = copy.copy(self)
-        part._stats, part._kept_units, part.on_segment = {}, None, None
-        return part
-
-    def found(self, chain: list[Ancestor]) -> dict[str, Any]:
-        """Return the results of `apart` other than statistics, as plain values for JSON."""
-        return {}
-
-    def take(self, more: dict[str, Any]) -> None:  # noqa: B027  most find nothing more
-        """Merge the `found` of another encoder; the caller holds the lock."""
-
-    def _encode_unit(
-        self, key: Block, parent: Decoded | None, chain: list[Ancestor]
-    ) -> list[Start]:
+    def _encode_unit(self, start: Start) -> list[Start]:
         """Encode one unit; return the units below it."""
-        grid = self._grid
+        grid, key, chain = self._grid, start.key, start.chain
         spec = unit_spec(grid, self._parameters, key)
         target, mask = self._pyramid.targets(spec.level, spec.region)
-        payload, decoded = self.code_unit(key, spec, parent, target, mask)
-        self._sink(key, payload)
+        payload, decoded = self.code_unit(start, spec, target, mask)
+        start.found.add(key, payload)
         if self._on_unit is not None:
             self._on_unit(key, decoded)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
-        self._note_meshes(blocks, parts)
-        if self._parameters.is_faithful and not key.is_root_key:
-            self._measure_children(spec, chain[-1], decoded)
+        start.found.note(self._meshed(blocks, parts))
+        if self._parameters.is_faithful and chain:
+            core = spec.core.slices_in(spec.region)
+            above = chain[-1]
+            apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
+            start.found.note({above.block: BlockStats(apart=apart)})
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
-            is_measured = self.measured(spec.core, mask[core])
-            self._measure(spec, blocks, chain, target[core], is_measured, decoded)
+            self._measure(start, spec, target[core], mask[core], decoded)
             self._on_samples(spec.core.n_rows * spec.core.n_cols)
             return []
         if spec.level == self._last_level:
             return []
         return [
-            (block, part, [*chain, self._ancestor(block, part)])
+            Start(block, part, [*chain, self._ancestor(block, part)], start.found)
             for block, part in zip(blocks, parts, strict=True)
         ]
 
     @abstractmethod
     def code_unit(
-        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+        self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return the payload and the decoded form of a unit."""
-
-    def measured(self, region: Region, mask: Mask) -> Mask:
-        """Return which samples of a region of the full grid are originals: all valid ones."""
-        return mask
 
     def _ancestor(self, block: Block, decoded: Decoded) -> Ancestor:
         """Return the samples of a decoded block, without its apron."""
@@ -334,52 +273,36 @@ class UnitEncoder(ABC):
         framed = self._grid.block_region(block, self._parameters.apron)
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
-    def _note_meshes(self, blocks: list[Block], parts: list[Decoded]) -> None:
-        """Update which blocks have meshes."""
+    def _meshed(self, blocks: list[Block], parts: list[Decoded]) -> Stats:
+        """Return which blocks have meshes."""
         grid, apron = self._grid, self._parameters.apron
+        found: Stats = {}
         for block, part in zip(blocks, parts, strict=True):
             inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
-            self._note({block: BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))})
-
-    def _measure_children(self, spec: GroupSpec, above: Ancestor, decoded: Decoded) -> None:
-        """Update the statistics of the block that a group refines."""
-        core = spec.core.slices_in(spec.region)
-        apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
-        self._note({above.block: BlockStats(apart=apart)})
+            found[block] = BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))
+        return found
 
     def _measure(
-        self,
-        spec: GroupSpec,
-        blocks: list[Block],
-        chain: list[Ancestor],
-        originals: Heights,
-        mask: Mask,
-        decoded: Decoded,
+        self, start: Start, spec: GroupSpec, originals: Heights, mask: Mask, decoded: Decoded
     ) -> None:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
         grid = self._grid
         heights = decoded.heights[spec.core.slices_in(spec.region)]
         by_block: Stats = {}
         whole = BlockStats()
-        for block in blocks:
+        for block in grid.key_blocks(start.key):
             region = grid.block_region(block)
             at = region._replace(row=region.row - spec.core.row, col=region.col - spec.core.col)
             by_block[block] = measure_samples(originals, mask, heights, at)
             # Neighbouring blocks share a row or column of samples.
             whole.merge(by_block[block])
-        for ancestor in chain:
+        for ancestor in start.chain:
             error = 0
             if not whole.is_empty:
                 limits = whole.z_low, whole.z_high
                 error = distance_of(ancestor, spec.core, originals, mask, grid, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
-        self._note(by_block)
-
-    def _note(self, found: Stats) -> None:
-        """Merge results for blocks."""
-        with self._lock:
-            for block, stats in found.items():
-                self._stats.setdefault(block, BlockStats()).merge(stats)
+        start.found.note(by_block)
 
 
 class TreeEncoder(UnitEncoder):
@@ -398,13 +321,20 @@ class TreeEncoder(UnitEncoder):
         self._refiner = refiner
         self._repeats: Repeats | None = None
         if may_repeat and self._last_level == grid.k_max:
-            self._repeats = Repeats(grid, parameters, self.code_unit)
 
-    def repeats(self, key: Block, parent: Decoded, chain: list[Ancestor], target: int) -> bool:
+            def code(
+                key: Block, parent: Decoded, spec: GroupSpec, target: Heights, mask: Mask
+            ) -> tuple[bytes, Decoded]:
+                return self.code_unit(Start(key, parent, [], self.found), spec, target, mask)
+
+            self._repeats = Repeats(grid, parameters, code)
+
+    def repeats(self, start: Start, parent: Decoded, target: int) -> bool:
         """Pass on all units below a block of one height if they have one height as well."""
         if self._repeats is None:
             return False
-        below = self._repeats.code(key, parent, target, self._sink)
+        key = start.key
+        below = self._repeats.code(key, parent, target, start.found)
         if below is None:
             return False
         # The samples of this level suffice to measure the distance from coarser blocks, whose
@@ -412,25 +342,25 @@ class TreeEncoder(UnitEncoder):
         region = self._grid.block_region(key)
         heights = np.full(region.shape, target, dtype=np.int32)
         mask = np.ones(region.shape, dtype=np.bool_)
-        for above in chain:
+        for above in start.chain:
             at = self._grid.stride(above.block.level) // self._grid.stride(key.level)
             row, col = (
                 first - one * at for first, one in zip(region[:2], above.region[:2], strict=True)
             )
             error = measure_block(above.heights, at, heights, mask, row, col, (target, target))
             below[above.block] = BlockStats(target, target, error)
-        self._note(below)
+        start.found.note(below)
         return True
 
     def code_unit(
-        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+        self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
         own = None
         if spec.has_voids and not spec.is_finest:
             own = self._pyramid.own(spec.level, spec.region)
-        kept = self.kept(key, spec, target, mask)
-        return encode_unit(self._refiner, spec, parent, target, mask, rest, own, kept)
+        kept = self.kept(start.key, spec, target, mask)
+        return encode_unit(self._refiner, spec, start.parent, target, mask, rest, own, kept)
 
     def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
         """Return the heights of a unit that must come back exactly (`encode_unit`)."""

@@ -3,7 +3,6 @@
 import logging
 import os
 import warnings
-from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -14,15 +13,14 @@ import numpy as np
 from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, checked_threads
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
-from terrainwave.container.page import N_CODES
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import copied_segments
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import Originals, measure_meshes, mesh_tolerance
 from terrainwave.mesh.sections import make_meshes
@@ -117,7 +115,9 @@ def store_meshes(
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesher.error_codes(errors, lost, by_recursion=header.is_faithful)
-        spools = _copied(terrain, codes, directory, sections)
+        spools = copied_segments(
+            grid, grid.segment_heads(), container, codes, directory, sections, "; free space there"
+        )
         extents = assemble(part.file, header, spools)
         digests = container.digests()
         if digests is not None:  # digests of heights, which do not change
@@ -168,26 +168,3 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
         return heights, valid
 
     return read, rho
-
-
-def _copied(
-    terrain: TerrainFile,
-    mesh_codes: dict[Block, int],
-    directory: Path,
-    sections: Mapping[Block, bytes] | None = None,
-) -> dict[Block | None, SegmentSpool]:
-    """Return the file's payloads with new codes and mesh sections (None keeps its own)."""
-    container, grid = terrain.container, terrain.grid
-    spools: dict[Block | None, SegmentSpool] = {}
-    for head in grid.segment_heads():
-        spool = spools[head] = SegmentSpool(directory, advice="; free space there")
-        segment = container.segment(head)
-        for key in segment.layout.keys:
-            codes = bytearray()
-            for block in grid.key_blocks(key):
-                row = segment.page.codes[segment.layout.block_rows[block]]
-                codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
-            mesh = container.mesh(key) if sections is None else sections.get(key, b"")
-            spool.add(key, container.payload(key), codes=bytes(codes), mesh=mesh)
-        spool.finish()
-    return spools

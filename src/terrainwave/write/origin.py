@@ -1,7 +1,6 @@
 """Comparison of a file with the one that `compress` would make now, without making it."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,10 +10,9 @@ from terrainwave.file import TerrainFile
 from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.earlier_loss import earlier_files
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of, settled
-from terrainwave.write.passes.windows import Window, scan_windows
+from terrainwave.write.passes.windows import new_scan, take
 
 
 def difference(
@@ -68,7 +66,9 @@ def difference(
             return "it was made of another raster"
         if files != (source.earlier.files if source.earlier else ()):
             return "it was made of another .twz file"
-        scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
+        scan, reporter = new_scan(info, has_digest=True), Reporter(progress)
+        for region in source.blocks():
+            take(scan, (*source.read(*region), region.row, region.col), info, reporter)
         info = source.with_meaning(scan.minimum, scan.maximum)[0]
         if info.heights_are != kind:
             return "its numbers mean something else"
@@ -80,8 +80,3 @@ def difference(
         if job.raw_bound != header.max_error:
             return "it was made with another default bound"
     return None
-
-
-def _windows(source: RasterSource) -> Iterator[Window]:
-    for region in source.blocks():
-        yield (*source.read(*region), region.row, region.col)

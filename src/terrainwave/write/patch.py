@@ -14,20 +14,19 @@ docs/decisions/0023).
 import logging
 import os
 import warnings
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
-from terrainwave.container.digests import DigestTree, TileDigests, tile_digests
+from terrainwave.container.digests import DigestTree, tile_digests
 from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
@@ -45,15 +44,16 @@ from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sidecar import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
+from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.proof import (
     NOTHING,
     OUR_FAULT,
+    Proof,
     Proved,
     allowed_error,
     compare_window,
     measured_error,
     proof_shares,
-    proven_shares,
     together,
 )
 from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
@@ -176,7 +176,7 @@ def patch(
         merged = Merged(terrain, source, whole)
         for note in merged.notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
-        patcher = _Patcher(terrain, merged, directory, executor, reporter, kept)
+        patcher = _Patcher(terrain, merged, Bench(merged, directory, executor, reporter, kept))
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True, is_update=True) as part:
@@ -225,33 +225,23 @@ _OF_BEFORE = ("moved", EARLIER)
 class _Patcher:
     """Passes over a file that is patched."""
 
-    def __init__(
-        self,
-        terrain: TerrainFile,
-        merged: Merged,
-        directory: Path,
-        executor: Crew,
-        reporter: Reporter,
-        kept: Kept,
-    ) -> None:
+    def __init__(self, terrain: TerrainFile, merged: Merged, bench: Bench) -> None:
         self._terrain = terrain
         self._grid = terrain.grid
         self._merged = merged
-        self._executor = executor
-        self._reporter = reporter
-        self._kept = kept
+        self._bench = bench
         quantizer = terrain.quantizer
-        self.sink = SpoolSink(self._grid, directory)
+        self.sink = SpoolSink(self._grid, bench.directory)
         self._pyramid = Pyramid(
             merged,
             quantizer,
             self._grid,
             kind=terrain.pyramid,
             has_voids=merged.has_voids,
-            directory=directory,
-            executor=executor,
+            directory=bench.directory,
+            executor=bench.executor,
         )
-        self._pyramid.kept = kept
+        self._pyramid.kept = bench.kept
         self.header = terrain.header
         self.is_changed = False
         # Largest stated error of finest blocks without originals, in raw units.
@@ -261,23 +251,24 @@ class _Patcher:
         """Fill the sink; return the numbers of units coded again and copied."""
         self._pyramid.build(lambda *_: None)
         encoder = PatchEncoder(
-            self._terrain, self._merged, self._pyramid, self.sink, self._count("patching"),
-            kept=KeptUnits(self._kept, self._grid, "patch"),
+            self._terrain, self._merged, self._pyramid, self.sink,
+            self._bench.counter("patching"),
+            kept=KeptUnits(self._bench.kept, self._grid, "patch"),
         )  # fmt: skip
-        stats = encoder.run(self._executor)
+        encoder.run(self._bench.executor)
+        found = encoder.found
         self.header = self._bounded_header()
         features = self.header.features & ~HAS_CORRECTIONS
         features |= HAS_VOIDS if self._merged.has_voids else 0
-        features |= HAS_CORRECTIONS if encoder.has_corrections else 0
+        features |= HAS_CORRECTIONS if found.has_corrections else 0
         self.header = replace(self.header, features=features)
         index = PatchedIndex(
-            self._terrain, self.header, self._merged, self._pyramid, self.sink, self._executor,
-            self._count,
-        )  # fmt: skip
-        is_any_new, self.stated_error = index.update(stats, encoder)
-        self.is_changed = bool(encoder.recoded) or is_any_new
+            self._terrain, self.header, self._merged, self._pyramid, self.sink, self._bench
+        )
+        is_any_new, self.stated_error = index.update(found)
+        self.is_changed = bool(found.recoded) or is_any_new
         self.is_changed |= self.header != self._terrain.header
-        return len(encoder.recoded), self._grid.n_units() - len(encoder.recoded)
+        return len(found.recoded), self._grid.n_units() - len(found.recoded)
 
     def _bounded_header(self) -> Header:
         """Return the file's header with the bounds that hold after the patch."""
@@ -300,10 +291,6 @@ class _Patcher:
         asked = header.max_error - float(header.moved * header.quantum)
         return max(asked, header.quantizer.effective_error)
 
-    def _count(self, stage: str) -> Any:
-        shape = self._grid.n_rows * self._grid.n_cols
-        return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
-
     def prove(self, path: str | os.PathLike[str]) -> tuple[float, DigestTree | None]:
         """Decode the result.
 
@@ -323,7 +310,7 @@ class _Patcher:
         """
         quantizer, bound = self._terrain.quantizer, self._asked_bound()
         allowed = allowed_error(quantizer, bound, quantizer.effective_error)
-        count = self._count("proving")
+        count, proof = self._bench.counter("proving"), Proof(self._terrain.shape)
         with TerrainFile(path, threads=1, native=False) as result:
 
             def compare(region: Region) -> Proved:
@@ -339,16 +326,12 @@ class _Patcher:
                 count(region.n_rows * region.n_cols)
                 return found
 
-            def compare_all(share: list[Region]) -> Proved:
+            def compare_all(share: Sequence[Region]) -> Proved:
                 return together(map(compare, share))
 
-            shares = proof_shares(self._grid)
-            compared = partial(self._executor.map, compare_all)
-            largest, tiles = 0.0, TileDigests(self._terrain.shape)
-            for _, found in proven_shares(path, shares, compared, self._kept):
-                largest = max(largest, found.error)
-                tiles.add(found.tiles)
-        return measured_error(largest, quantizer), self._new_digests(tiles.tree())
+            proof.compare(path, proof_shares(self._grid), compare_all, self._bench)
+        error = measured_error(proof.largest, quantizer)
+        return error, self._new_digests(proof.tiles.tree())
 
     def _new_digests(self, found: DigestTree) -> DigestTree | None:
         """Return the new digests, if the file has any: beyond the new raster they stay."""

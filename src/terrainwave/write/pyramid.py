@@ -19,9 +19,10 @@ fills of one coarse level (`SubtreeRegion`); those above a level from that level
 Values are the same: that is how machines share a raster.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
+from functools import partial, reduce
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -114,18 +115,62 @@ class SubtreeRegion(NamedTuple):
 
 
 class Base(NamedTuple):
-    """Arrays of one level from which the next is made; the last four only with voids.
+    """Arrays of one level from which the next is made, by their names in `Level`.
 
-    `pushed` holds the averages of valid samples where there are any: where `known` says so; `own`
-    says which samples are valid by themselves.
+    Without voids these are the heights alone.
     """
 
     shift: int
-    heights: Spool
-    masks: Spool | None = None
-    pushed: Spool | None = None
-    known: Spool | None = None
-    own: Spool | None = None
+    arrays: Mapping[str, Spool]
+
+
+# Arrays of a level: targets; which samples are valid, which of them by themselves; averages of
+# valid samples, and where there are any; heights given to voids.
+DTYPES: dict[str, DTypeLike] = {
+    "heights": np.int32, "mask": np.bool_, "own": np.bool_, "averages": np.int32,
+    "known": np.bool_, "fills": np.int32,
+}  # fmt: skip
+
+
+class Level:
+    """Arrays of one level by name (`DTYPES`), each while it is needed.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the whole level.
+    regions : dict
+        Where arrays are made, by name.
+    """
+
+    def __init__(
+        self, shift: int, shape: tuple[int, int], regions: Mapping[str, Region], kind: str
+    ) -> None:
+        self.shift, self.shape, self._regions, self._kind = shift, shape, regions, kind
+        self.arrays: dict[str, Spool] = {}
+
+    @property
+    def whole(self) -> Region:
+        return Region(0, 0, *self.shape)
+
+    def region(self, name: str) -> Region:
+        """Return where an array is made, inside the raster."""
+        return self._regions.get(name, self.whole).intersect(self.whole)
+
+    def file(self, name: str) -> str:
+        """Return the name of an array's file: heights and fills depend on the kind of pyramid."""
+        named = {"heights": self._kind, "fills": f"fills-{self._kind}"}
+        return f"{named.get(name, name)}-{self.shift}"
+
+    def __getitem__(self, name: str) -> Spool:
+        return self.arrays[name]
+
+    def drop(self, *names: str, is_needed: bool = False) -> None:
+        """Give up arrays, in the journal too unless a later run needs them."""
+        for name in names:
+            if name in self.arrays:
+                spool = self.arrays.pop(name)
+                (spool.close if is_needed else spool.drop)()
 
 
 class Pyramid:
@@ -178,23 +223,23 @@ class Pyramid:
         if isinstance(source, IndexedWindows):
             self._even_of = source.even
         self.kept = Kept()
-        self._heights: dict[int, Spool] = {}
-        self._masks: dict[int, Spool] = {}
-        self._own: dict[int, Spool] = {}
-        # Averages of valid samples, and where there are any; from `pull` on, fills of all samples.
-        self._averages: dict[int, Spool] = {}
-        self._known: dict[int, Spool] = {}
-        self._fills: dict[int, Spool] = {}
-        self._first = 0
+        self._levels: dict[int, Level] = {}
+        self._first = 0 if base is None else base.shift
         self._last = grid.k_max if part is None else part.shift
         if base is not None:
-            self._first = base.shift
-            self._heights[base.shift] = base.heights
-            levels = self._masks, self._averages, self._known, self._own
-            made = base.masks, base.pushed, base.known, base.own
-            for spools, spool in zip(levels, made, strict=True):
-                if spool is not None:
-                    spools[base.shift] = spool
+            self._level(base.shift).arrays |= base.arrays
+
+    def _level(self, shift: int) -> Level:
+        if shift not in self._levels:
+            regions: dict[str, Region] = {}
+            if self._part is not None:
+                is_framed = self._has_voids or self._kind == "lowpass"
+                made = self._part.heights_region(shift, is_framed)
+                regions = dict.fromkeys(("heights", "mask", "own"), made)
+                regions |= dict.fromkeys(("averages", "known"), self._part.push_region(shift))
+                regions["fills"] = self._part.fill_region(shift)
+            self._levels[shift] = Level(shift, self._shape(shift), regions, self._kind)
+        return self._levels[shift]
 
     def build(self, report: Callable[[int, int], None]) -> None:
         """Make every level below the full grid; `report` gets (samples done, samples in all)."""
@@ -205,116 +250,129 @@ class Pyramid:
 
     def push(self) -> None:
         """Make the masks of all levels, and average valid heights up to one sample."""
-        self._build_masks()
+        for shift in self._level_shifts():
+            names, even = ("mask", "own"), partial(self._even, shift)
+            self._make(f"mask-{shift}", shift, names, even, self._mask_window)
         shift, dropped = self._first, self._dropped_averages()
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
-            if shift in dropped:
-                continue
-            region = self._inside(shift, self._part.push_region(shift) if self._part else None)
-            averages = self._new_spool(region, np.int32, f"averages-{shift}")
-            known = self._new_spool(region, np.bool_, f"known-{shift}")
-            self._averages[shift], self._known[shift] = averages, known
-
-            def fill(
-                window: Region, even: Even, averages: Spool = averages, known: Spool = known
-            ) -> None:
-                averages.fill(window, even.value)
-                known.fill(window, even.is_valid)
-
-            windows = _uneven(region, partial(self._even, shift), fill)
-            work = partial(self._push_window, shift)
-            self._in_windows(f"push-{shift}", (averages, known), windows, work)
+            if shift not in dropped:
+                names, even = ("averages", "known"), partial(self._even, shift)
+                self._make(f"push-{shift}", shift, names, even, self._push_window)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
-        return self._averages[shift].read(region), self._known[shift].read(region)
+        level = self._levels[shift]
+        return level["averages"].read(region), level["known"].read(region)
 
     def pull(self, coarsest: Spool | None = None) -> None:
         """Interpolate from the coarsest level down where nothing is known.
 
         A part needs the fills of its coarsest level, where it would not know enough by itself.
         """
-        if not self._averages:  # a raster of one sample
+        averaged = [shift for shift, level in self._levels.items() if "averages" in level.arrays]
+        if not averaged:  # a raster of one sample
             return
-        top = max(self._averages)
-        self._fills[top] = coarsest or self._averages.pop(top)
+        top = max(averaged)
+        arrays = self._level(top).arrays
+        arrays["fills"] = coarsest or arrays.pop("averages")
         self._drop_averages(top)
         for finer in range(top - 1, max(self._first - 1, 0), -1):
+            level = self._level(finer)
             # Those of level 1 fill the full grid; of others nobody reads any more after heights.
-            if finer > 1 and self._is_kept_whole(self._kind, finer):
-                self._drop_averages(finer)
-                continue
-            region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            name = f"fills-{self._kind}-{finer}"
-            spool = self._fills[finer] = self._new_spool(region, np.int32, name)
-
-            def fill(window: Region, even: Even, spool: Spool = spool) -> None:
-                spool.fill(window, even.value)
-
-            windows = _uneven(region, partial(self._unread, finer), fill)
-            self._make_windows(name, spool, partial(self._pull_window, finer), windows)
+            if finer == 1 or not self._is_kept_whole(level.file("heights")):
+                even = partial(self._unread, finer)
+                self._make(level.file("fills"), finer, ("fills",), even, self._pull_window)
             self._drop_averages(finer)
 
     def _drop_averages(self, shift: int) -> None:
         """Give up what was averaged on a level, unless a later run makes the next ones of it."""
         is_needed = is_small(self._shape(shift + 1), np.bool_)
-        for spools in (self._averages, self._known):
-            if shift in spools:
-                (spools[shift].close if is_needed else spools[shift].drop)()
-                del spools[shift]
+        self._level(shift).drop("averages", "known", is_needed=is_needed)
 
     def _dropped_averages(self) -> set[int]:
         """Return the levels whose averages an earlier run has dropped, if no level needs them."""
-        dropped = set()
+        dropped, are_filled = set(), True
         for shift in self._level_shifts():
-            path = self.kept.path(f"averages-{shift}")
-            if path is None or is_small(self._shape(shift), np.bool_):
+            level = self._level(shift)
+            path = self.kept.path(level.file("averages"))
+            if path is None or is_small(level.shape, np.bool_) or path.exists():
                 continue
-            if not path.exists():
-                dropped.add(shift)
-        kinds = self._kind, f"fills-{self._kind}"
-        is_filled = (any(self._is_kept_whole(kind, shift) for kind in kinds) for shift in dropped)
-        return dropped if all(is_filled) else set()
+            dropped.add(shift)
+            made = level.file("heights"), level.file("fills")
+            are_filled &= any(map(self._is_kept_whole, made))
+        return dropped if are_filled else set()
 
-    def _is_kept_whole(self, kind: str, shift: int) -> bool:
+    def _is_kept_whole(self, name: str) -> bool:
         """Say whether an earlier run has left all heights or fills of a level."""
-        path = self.kept.path(f"{kind}-{shift}")
-        return path is not None and path.exists() and self.kept.is_whole(f"{kind}-{shift}")
+        path = self.kept.path(name)
+        return path is not None and path.exists() and self.kept.is_whole(name)
 
     def fills(self, shift: int, region: Region) -> Heights:
         """Return the heights given to voids on a level, after `pull`."""
-        return self._fills[shift].read(region)
+        return self._levels[shift]["fills"].read(region)
 
     def make_heights(self, report: Callable[[int, int], None]) -> None:
         """Make the heights of every level above the full grid, after the fills of voids."""
-        regions = {shift: self._heights_region(shift) for shift in self._level_shifts()}
-        total = sum(region.n_rows * region.n_cols for region in regions.values())
-        done = 0
+        levels = [self._level(shift) for shift in self._level_shifts()]
+        sizes = [math.prod(level.region("heights").shape) for level in levels]
         make = {
             "lowpass": self._lowpass_window,
             "lowpass53": self._lowpass53_window,
             "nested": self._nested_window,
         }[self._kind]
-        for shift, region in regions.items():
-            name = f"{self._kind}-{shift}"
-            spool = self._heights[shift] = self._new_spool(region, np.int32, name)
+        for done, level in enumerate(levels, 1):
+            even = partial(self._even_heights, level.shift)
+            self._make(level.file("heights"), level.shift, ("heights",), even, make)
+            if level.shift > 1:
+                level.drop("fills")
+            report(sum(sizes[:done]), sum(sizes))
 
-            def fill(part: Region, even: Even, spool: Spool = spool) -> None:
-                spool.fill(part, even.value)
+    def _make(
+        self,
+        name: str,
+        shift: int,
+        names: Sequence[str],
+        even_of: EvenOf,
+        window: Callable[[int, Region], Sequence[NDArray[Any]]],
+    ) -> None:
+        """Make arrays of a level by windows, side by side; even parts are filled.
 
-            windows = _uneven(region, partial(self._even_heights, shift), fill)
-            self._make_windows(name, spool, partial(make, shift), windows)
-            if shift > 1 and shift in self._fills:
-                self._fills.pop(shift).drop()
-            done += region.n_rows * region.n_cols
-            report(done, total)
+        Windows that an earlier run has finished, by its record `name`, are left out.
+        """
+        level = self._level(shift)
+        region = level.region(names[0])
+        spools = []
+        for own in names:
+            path = self.kept.path(level.file(own))
+            origin = region.row, region.col
+            spools.append(Spool(region.shape, DTYPES[own], self._directory, origin, path))
+        level.arrays |= dict(zip(names, spools, strict=True))
+
+        def uneven() -> Iterator[Region]:
+            for part, even in even_parts(region, TILE, even_of):
+                if even is None:
+                    yield part
+                    continue
+                for spool in spools:
+                    spool.fill(part, even.is_valid if spool.dtype == np.bool_ else even.value)
+
+        def work(part: Region) -> None:
+            for spool, values in zip(spools, window(shift, part), strict=True):
+                spool.write(part, values)
+
+        def side_by_side(windows: Iterable[Region]) -> Iterator[None]:
+            windows = iter(windows)
+            while batch := list(islice(windows, _BATCH)):
+                yield from self._executor.map(work, batch)
+
+        for _ in self.kept.each(name, spools, uneven(), side_by_side):
+            pass
 
     def close(self) -> None:
         """Delete the spools."""
-        levels = self._heights, self._masks, self._own, self._averages, self._known, self._fills
-        for spools in levels:
-            for spool in spools.values():
+        for level in self._levels.values():
+            for spool in level.arrays.values():
                 spool.close()
 
     def heights(self, level: int, region: Region) -> Heights:
@@ -339,14 +397,14 @@ class Pyramid:
             return np.ones(region.shape, dtype=np.bool_)
         if shift == 0:
             return self._source.read(*region)[1]
-        return self._masks[shift].read(region)
+        return self._levels[shift]["mask"].read(region)
 
     def own(self, level: int, region: Region) -> Mask:
         """Return which samples of a region of a level are valid by themselves, in the full grid."""
         shift = self._grid.k_max - level
         if shift == 0 or not self._has_voids:
             return self.mask(level, region)
-        return self._own[shift].read(region)
+        return self._levels[shift]["own"].read(region)
 
     def targets(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return `heights` and `mask` of a region; of the full grid by one look at the source."""
@@ -403,27 +461,12 @@ class Pyramid:
     def _level_shifts(self) -> range:
         return range(self._first + 1, self._last + 1)
 
-    def _heights_region(self, shift: int) -> Region:
-        is_framed = self._has_voids or self._kind == "lowpass"
-        return self._inside(
-            shift, self._part.heights_region(shift, is_framed) if self._part else None
-        )
-
-    def _inside(self, shift: int, region: Region | None) -> Region:
-        """Return the part of a region of a level inside the raster; None: the whole level."""
-        whole = Region(0, 0, *self._shape(shift))
-        return whole if region is None else region.intersect(whole)
-
-    def _new_spool(self, region: Region, dtype: DTypeLike, name: str) -> Spool:
-        path = self.kept.path(name)
-        return Spool(region.shape, dtype, self._directory, (region.row, region.col), path)
-
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
 
     def _read_heights(self, shift: int, region: Region) -> Heights:
         if shift:
-            return self._heights[shift].read(region)
+            return self._levels[shift]["heights"].read(region)
         return self._filled_originals(region)[0]
 
     def _filled_originals(self, region: Region) -> tuple[Heights, Mask]:
@@ -433,118 +476,82 @@ class Pyramid:
             self._fill(0, region, quanta, valid)
         return quanta, valid
 
-    def _around(self, shift: int, region: Region, halo: int) -> Region:
-        """Return a region of the level above `shift` on that level, and `halo` samples around."""
-        return Region(
-            2 * region.row - halo,
-            2 * region.col - halo,
-            2 * region.n_rows + 2 * halo,
-            2 * region.n_cols + 2 * halo,
-        ).intersect(Region(0, 0, *self._shape(shift)))
+    def _lowpass53_window(self, shift: int, region: Region) -> Sequence[Heights]:
+        level = self._grid.k_max - (shift - 1)
+        fine = _around(region, _LOWPASS53_HALO).intersect(self._level(shift - 1).whole)
+        return (
+            lowpass_window(
+                self.steps(level, fine),
+                (fine.row, fine.col),
+                self._shape(shift - 1),
+                (region.row, region.col),
+                region.shape,
+                *TileLayout(self._grid).lowpass_tiles(level),
+            ),
+        )
 
-    def _lowpass53_window(self, shift: int, region: Region) -> Heights:
-        fine = self._around(shift - 1, region, _LOWPASS53_HALO)
-        return lowpass_window(
-            self.steps(self._grid.k_max - (shift - 1), fine),
+    def _lowpass_window(self, shift: int, region: Region) -> Sequence[Heights]:
+        fine = _around(region, _LOWPASS_HALO).intersect(self._level(shift - 1).whole)
+        heights = lowpass_analysis(
+            self._read_heights(shift - 1, fine),
             (fine.row, fine.col),
             self._shape(shift - 1),
             (region.row, region.col),
             region.shape,
-            *TileLayout(self._grid).lowpass_tiles(self._grid.k_max - (shift - 1)),
-        )
-
-    def _lowpass_window(self, shift: int, region: Region) -> Heights:
-        shape = self._shape(shift - 1)
-        fine = self._around(shift - 1, region, _LOWPASS_HALO)
-        heights = lowpass_analysis(
-            self._read_heights(shift - 1, fine),
-            (fine.row, fine.col),
-            shape,
-            (region.row, region.col),
-            region.shape,
         )
         # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
-        return np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights)
+        return (np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights),)
 
-    def _nested_window(self, shift: int, region: Region) -> Heights:
+    def _nested_window(self, shift: int, region: Region) -> Sequence[Heights]:
         if shift > 1:
-            return self._nested_parts(shift, region)
+            return (self._nested_parts(shift, region),)
         raw, valid = self._source.read(*_below(region))
         raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in (raw, valid))
         quanta = self._quantizer.quantize(raw, valid)
         if self._has_voids and not valid.all():
             # These samples lie on those of the level above, whose fills are theirs.
-            np.copyto(quanta, self._fills[shift].read(region), where=~valid)
-        return quanta
+            np.copyto(quanta, self._levels[shift]["fills"].read(region), where=~valid)
+        return (quanta,)
 
     def _nested_parts(self, shift: int, region: Region) -> Heights:
         """Return heights of the level below; where all below a part is void, this level's fills.
 
         They are the same there. Further from valid samples than here, the level below has none.
         """
+        below = self._levels[shift - 1]["heights"]
         if not self._has_voids:
-            return self._heights[shift - 1].view(_below(region))[::2, ::2]
+            return below.view(_below(region))[::2, ::2]
         heights = np.empty(region.shape, dtype=np.int32)
         for part, even in even_parts(region, TILE // 2, partial(self._even, shift)):
             if even is None or even.is_valid:
-                own = self._heights[shift - 1].view(_below(part))[::2, ::2]
+                own = below.view(_below(part))[::2, ::2]
             else:
-                own = self._fills[shift].view(part)
+                own = self._levels[shift]["fills"].view(part)
             heights[part.slices_in(region)] = own
         return heights
 
-    def _build_masks(self) -> None:
-        for shift in self._level_shifts():
-            region = self._heights_region(shift)
-            spool = self._masks[shift] = self._new_spool(region, np.bool_, f"mask-{shift}")
-            self._own[shift] = self._new_spool(region, np.bool_, f"own-{shift}")
-            # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
-            reach = 2 if shift == 1 else 1
-
-            def fill(
-                part: Region, even: Even, spools: Sequence[Spool] = (spool, self._own[shift])
-            ) -> None:
-                for one in spools:
-                    one.fill(part, even.is_valid)
-
-            windows = _uneven(region, partial(self._even, shift), fill)
-            make = partial(self._mask_window, shift, reach)
-            self._make_windows(f"mask-{shift}", spool, make, windows)
-
-    def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
-        level = self._grid.k_max - (shift - 1)
-        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
-        rows, cols = (slice(2 * n - 1) for n in region.shape)
+    def _mask_window(self, shift: int, region: Region) -> Sequence[Mask]:
+        # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
+        reach = 2 if shift == 1 else 1
+        row, col, n_rows, n_cols = _below(region)
+        around = Region(row - reach, col - reach, n_rows + 2 * reach, n_cols + 2 * reach)
+        window = around.intersect(self._level(shift - 1).whole)
+        fine = self.mask(self._grid.k_max - (shift - 1), window)
+        if window != around:  # past the raster's edge its border is repeated
+            first = window.row - around.row, window.col - around.col
+            sizes = zip(first, window.shape, around.shape, strict=True)
+            past = [(before, size - before - inside) for before, inside, size in sizes]
+            fine = np.pad(fine, past, mode="edge")
         if shift == 1:
-            own = fine[reach:, reach:][rows, cols][::2, ::2]
+            own = fine[reach:, reach:][:n_rows:2, :n_cols:2]
         else:
-            row, col, n_rows, n_cols = region
-            places = Region(2 * row, 2 * col, 2 * n_rows - 1, 2 * n_cols - 1)
-            own = self._own[shift - 1].view(places)[::2, ::2]
-        self._own[shift].write(region, own)
-        touched = fine[rows][::2].copy()
-        for row in range(1, 2 * reach + 1):
-            touched |= fine[row:][rows][::2]
-        mask = touched[:, cols][:, ::2].copy()
-        for col in range(1, 2 * reach + 1):
-            mask |= touched[:, col:][:, cols][:, ::2]
-        return mask
+            own = self._levels[shift - 1]["own"].view(_below(region))[::2, ::2]
+        return touched(fine, reach), own
 
-    def _push_window(self, shift: int, window: Region) -> None:
-        values, known = self._pushed(shift, window)
-        self._averages[shift].write(window, values)
-        self._known[shift].write(window, known)
-
-    def _pull_window(self, shift: int, window: Region) -> Heights:
-        values, known = self.pushed(shift, window)
-        if not known.all():
-            self._fill(shift, window, values, known)
-        return values
-
-    def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
+    def _push_window(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         window = Region(
             2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
-        ).intersect(Region(0, 0, *self._shape(shift - 1)))
+        ).intersect(self._level(shift - 1).whole)
         fine, is_known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
         if not is_known.all():
             np.copyto(fine, _UNKNOWN, where=~is_known)
@@ -555,78 +562,37 @@ class Pyramid:
         push(fine, *first, lines, values, known)
         return values, known
 
+    def _pull_window(self, shift: int, region: Region) -> Sequence[Heights]:
+        values, known = self.pushed(shift, region)
+        if not known.all():
+            self._fill(shift, region, values, known)
+        return (values,)
+
     def _fill(self, shift: int, region: Region, values: Heights, known: Mask) -> None:
         """Interpolate the filled level above where values of a region are not known."""
-        if shift + 1 not in self._fills:  # a raster of one sample has no level above
+        above = self._levels.get(shift + 1)
+        if above is None or "fills" not in above.arrays:  # a raster of one sample
             values[~known] = 0
             return
-        last_row, last_col = (n - 1 for n in self._shape(shift + 1))
+        last_row, last_col = (n - 1 for n in above.shape)
         outer = Region(
             region.row >> 1,
             region.col >> 1,
             min(region.row + region.n_rows >> 1, last_row) - (region.row >> 1) + 1,
             min(region.col + region.n_cols >> 1, last_col) - (region.col >> 1) + 1,
         )
-        pull(self._fills[shift + 1].read(outer), region.row & 1, region.col & 1, known, values)
+        pull(above["fills"].read(outer), region.row & 1, region.col & 1, known, values)
 
-    def _gather(
-        self,
-        read: Callable[[Region], NDArray[Any]],
-        shift: int,
-        coarse: Region,
-        halo: int,
-    ) -> NDArray[Any]:
-        """Return level `shift` around the samples of the region `coarse` of the level above.
 
-        Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge
-        repeat its border.
-        """
-        around = Region(
-            2 * coarse.row - halo,
-            2 * coarse.col - halo,
-            2 * (coarse.n_rows - 1 + halo) + 1,
-            2 * (coarse.n_cols - 1 + halo) + 1,
-        )
-        window = around.intersect(Region(0, 0, *self._shape(shift)))
-        values = read(window)
-        if window == around:
-            return values
-        top, left = window.row - around.row, window.col - around.col
-        bottom, right = top + window.n_rows, left + window.n_cols
-        repeated = np.empty(around.shape, dtype=values.dtype)
-        repeated[top:bottom, left:right] = values
-        repeated[top:bottom, :left] = values[:, :1]
-        repeated[top:bottom, right:] = values[:, -1:]
-        repeated[:top] = repeated[top]
-        repeated[bottom:] = repeated[bottom - 1]
-        return repeated
+def touched(fine: Mask, reach: int) -> Mask:
+    """Return which samples of a level touch a valid one of the level below.
 
-    def _make_windows(
-        self,
-        name: str,
-        spool: Spool,
-        make: Callable[[Region], NDArray[np.generic]],
-        windows: Iterable[Region],
-    ) -> None:
-        self._in_windows(name, [spool], windows, lambda region: spool.write(region, make(region)))
-
-    def _in_windows(
-        self,
-        name: str,
-        spools: Sequence[Spool],
-        windows: Iterable[Region],
-        work: Callable[[Region], None],
-    ) -> None:
-        """Do work for windows, side by side, but for those that an earlier run has finished."""
-        for _ in self.kept.each(name, spools, windows, partial(self._side_by_side, work)):
-            pass
-
-    def _side_by_side(
-        self, work: Callable[[Region], None], windows: Iterable[Region]
-    ) -> Iterator[None]:
-        windows = iter(windows)
-        while batch := list(islice(windows, _BATCH)):
-            yield from self._executor.map(work, batch)
+    `fine` are the samples below them and between, and `reach` more around.
+    """
+    n_rows, n_cols = (n - 2 * reach for n in fine.shape)
+    reached = range(2 * reach + 1)
+    rows = reduce(np.logical_or, (fine[row:][:n_rows:2] for row in reached))
+    return reduce(np.logical_or, (rows[:, col:][:, :n_cols:2] for col in reached))
 
 
 def _below(region: Region) -> Region:
@@ -634,12 +600,7 @@ def _below(region: Region) -> Region:
     return Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
 
 
-def _uneven(
-    region: Region, even_of: EvenOf, fill: Callable[[Region, Even], None]
-) -> Iterator[Region]:
-    """Yield windows of a region but for its even parts, which `fill` gets."""
-    for part, even in even_parts(region, TILE, even_of):
-        if even is None:
-            yield part
-        else:
-            fill(part, even)
+def _around(region: Region, halo: int) -> Region:
+    """Return the samples of a region on the level below, and `halo` samples around."""
+    row, col, n_rows, n_cols = region
+    return Region(2 * row - halo, 2 * col - halo, 2 * (n_rows + halo), 2 * (n_cols + halo))

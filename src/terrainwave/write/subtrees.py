@@ -7,11 +7,9 @@ level of the subtree has a spool of 20 MiB, the rest lies on the machine's disk.
 """
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -21,17 +19,12 @@ import numpy as np
 
 from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.container.depot import Depot, Meter, StoredSegment, StoredSegments
-from terrainwave.container.page import N_CODES
-from terrainwave.container.spool import SegmentSpool
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
+from terrainwave.container.spool_sink import SpoolSink, copied_segments
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import store_segments, stored_places
-from terrainwave.file import TerrainFile
-from terrainwave.file.raster import raster_source
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -39,29 +32,18 @@ from terrainwave.mesh.blocks import BlockMesher, measure_meshes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import (
-    Box,
-    enclosing_boxes,
-    error_codes,
-    recursive_errors,
-    set_codes,
-    unmeasured_mesh_codes,
-)
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.boxes import Box, Codes, recursive_errors
+from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.proof import (
-    Comparison,
-    Proved,
-    allowed_error,
-    shares_in_turns,
-    together,
-    unproved,
-)
+from terrainwave.write.passes.bench import AskedRaster, Bench
+from terrainwave.write.passes.found import Stats
+from terrainwave.write.passes.proof import Proved, comparison_of, together
+from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
+from terrainwave.write.tasks.task import workplace
 
 _CACHE_BYTES = 64 << 20
 _SCAN_SIDE = 2048
@@ -69,55 +51,23 @@ ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
 
 
 @dataclass(frozen=True)
-class RasterPlace:
-    """Raster, or mosaic of several, that every machine can open.
-
-    While a task runs, `meter` counts the bytes read, and `folder` is for its temporary files.
-    """
-
-    paths: tuple[str, ...]
-    band: int
-    nodata: float | str | None
-    heights_are: str | None = None
-    meter: Meter = field(default_factory=Meter, compare=False)
-    folder: str | None = field(default=None, compare=False)
-
-    def at(self, meter: Meter, folder: str) -> "RasterPlace":
-        """Return a copy for one task (`tasks.task.Task`)."""
-        return replace(self, meter=meter, folder=folder)
-
-    @contextmanager
-    def open(self) -> Iterator[RasterSource]:
-        """Open it; notes were issued where the run began."""
-        name = self.paths[0] if len(self.paths) == 1 else list(self.paths)
-        with raster_source(
-            name, band=self.band, nodata=self.nodata, heights_are=self.heights_are, warn=False
-        ) as source:
-            try:
-                yield source
-            finally:
-                self.meter.source_bytes += source.n_bytes_read
-
-
-@dataclass(frozen=True)
 class Site:
     """State shared by the tasks of a run.
 
-    `level` is that of the blocks whose subtrees are tasks, `method` the requested one, which
-    prefixes names in the depot; `file_tables` are empty until they are known.
+    `root` is that of the depot, `level` that of the blocks whose subtrees are tasks; `file_tables`
+    are empty until they are known.
     """
 
-    raster: RasterPlace
-    depot: Depot
+    raster: AskedRaster
+    root: str
     job: Job
     level: int
-    method: str
     file_tables: bytes = b""
 
-    def at(self, meter: Meter, folder: str) -> "Site":
-        """Return a copy for one task (`tasks.task.Task`)."""
-        depot = replace(self.depot, meter=meter, directory=folder)
-        return replace(self, raster=self.raster.at(meter, folder), depot=depot)
+    @property
+    def depot(self) -> Depot:
+        """Return the depot as this machine uses it."""
+        return Depot(self.root, workplace().folder)
 
     @property
     def grid(self) -> Grid:
@@ -128,9 +78,14 @@ class Site:
         """Return the number of levels below the blocks that tasks begin at."""
         return self.grid.k_max - self.level
 
+    @property
+    def method(self) -> str:
+        """Return the method's name; a plain one may be tried as well, under other names."""
+        return self.job.options.named_method.name
+
     def refiner(self) -> Refiner:
         """Return the refiner with the file's tables."""
-        return refiner_by_name(self.job.options.named_method.name, self.file_tables)
+        return refiner_by_name(self.method, self.file_tables)
 
     def name(self, stage: str, head: Block) -> str:
         """Return the name of a task's result in the depot."""
@@ -165,20 +120,9 @@ class Site:
 
         return StoredSegments(self.grid, self.depot, place)
 
-    def pyramid(
-        self, source: RasterSource, region: Region, directory: Path, executor: Executor
-    ) -> Pyramid:
+    def pyramid(self, bench: Bench, region: Region) -> Pyramid:
         """Return the pyramid of a part of the raster, not yet built."""
-        return Pyramid(
-            source,
-            self.job.quantizer,
-            self.grid,
-            kind=self.job.options.named_method.pyramid,
-            has_voids=self.job.has_voids,
-            directory=directory,
-            executor=executor,
-            part=SubtreeRegion(region, self.shift),
-        )
+        return bench.pyramid(self.job, part=SubtreeRegion(region, self.shift))
 
 
 def own_region(grid: Grid, head: Block) -> Region:
@@ -198,34 +142,25 @@ def spool_of(values: np.ndarray, origin: tuple[int, int], directory: Path) -> Sp
     return spool
 
 
-class _Bench(NamedTuple):
-    """Working environment of a task."""
-
-    source: RasterSource
-    directory: Path
-    executor: Executor
-
-
 @contextmanager
-def _bench(raster: RasterPlace) -> Iterator[_Bench]:
+def _bench(raster: AskedRaster) -> Iterator[Bench]:
     with (
         raster.open() as source,
-        scratch_directory(raster.folder or tempfile.gettempdir(), "terrainwave") as directory,
+        scratch_directory(workplace().folder, "terrainwave") as directory,
         Crew(1) as executor,
     ):
-        yield _Bench(source, directory, executor)
+        yield Bench(source, directory, executor)
 
 
 # Pass A
 
 
 def scan_region(
-    raster: RasterPlace, region: Region, has_digest: bool, steps: FixedSteps | None = None
+    raster: AskedRaster, region: Region, has_digest: bool, steps: FixedSteps | None = None
 ) -> HeightScan:
     """Return range, validity and vertical quantum of a region; optionally a digest."""
     with raster.open() as source:
-        digest = HeightDigest(source.info.n_cols) if has_digest else None
-        scan = HeightScan(source.info.dtype, steps, digest)
+        scan = new_scan(source.info, has_digest, steps)
         for window in region.tiles(_SCAN_SIDE, _SCAN_SIDE):
             scan.update(*source.read(*window), window.row, window.col)
     return scan
@@ -234,13 +169,13 @@ def scan_region(
 def push_levels(site: Site, head: Block) -> None:
     """Store the mask of a subtree's coarsest level and the averages of its valid samples."""
     with _bench(site.raster) as bench:
-        pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
+        pyramid = site.pyramid(bench, site.grid.full_region(head))
         pyramid.push()
         region = site.grid.block_region(head)
-        pushed, known = pyramid.pushed(site.shift, region)
+        averages, known = pyramid.pushed(site.shift, region)
         mask, own = pyramid.mask(site.level, region), pyramid.own(site.level, region)
         pyramid.close()
-    site.depot.save(site.name("pushed", head), mask=mask, own=own, pushed=pushed, known=known)
+    site.depot.save(site.name("pushed", head), mask=mask, own=own, averages=averages, known=known)
 
 
 def make_levels(site: Site, head: Block) -> None:
@@ -251,10 +186,10 @@ def make_levels(site: Site, head: Block) -> None:
 
 
 @contextmanager
-def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, _Bench]]:
+def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, Bench]]:
     """Yield the levels of a subtree."""
     with _bench(site.raster) as bench:
-        pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
+        pyramid = site.pyramid(bench, site.grid.full_region(head))
         try:
             if site.job.has_voids:
                 fills = site.depot.load(site.name("fills", head))
@@ -278,7 +213,6 @@ class EncodedSubtree(NamedTuple):
     in a faithful file (`boxes.recursive_errors`).
     """
 
-    head: Block
     places: tuple[StoredSegment, ...]
     ancestors: Stats
     box: Box | None
@@ -304,19 +238,15 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
         ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
-        errors = error_codes(own, job.lost, job.recursion_bound)
         error = 0
         if job.recursion_bound is not None:
             whole_tree = own | {head: ancestors.get(head, BlockStats())}
             error = recursive_errors(whole_tree, job.lost, job.recursion_bound).get(head, 0)
-        whole = job.quantizer.z_min, job.quantizer.z_max
-        boxes = enclosing_boxes(own, errors, whole, {}, job.moved)
-        box = boxes.pop(head, None)
-        set_codes(
-            grid, sink.present(), whole, boxes, errors, unmeasured_mesh_codes(job, own, errors)
-        )
+        codes = Codes(job, own)
+        box = codes.boxes.pop(head, None)
+        codes.set(sink.present())
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
-    return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes, error)
+    return EncodedSubtree(tuple(places.values()), ancestors, box, sink.n_bytes, error)
 
 
 # Meshes
@@ -325,7 +255,6 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
 class FinishedSubtree(NamedTuple):
     """Result of meshing a subtree: errors of ancestors in 1/16 quanta."""
 
-    head: Block
     places: tuple[StoredSegment, ...]
     ancestors: dict[Block, int]
 
@@ -414,7 +343,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
                 site.depot.load(_state_name(site, head, last_round or 0))
             )
             sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
-        originals = site.pyramid(bench.source, grid.full_region(head), *bench[1:]).originals
+        originals = site.pyramid(bench, grid.full_region(head)).originals
         lost = Fraction(site.job.lost)
         found = measure_meshes(
             grid,
@@ -428,32 +357,10 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         own = {block: error for block, error in found.items() if block.level > head.level}
         codes = mesher.error_codes(own, lost, by_recursion=site.job.options.faithful)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
-        spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
+        spools = copied_segments(grid, heads, stored, codes, bench.directory, sections)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
     ancestors = {block: error for block, error in found.items() if block not in own}
-    return FinishedSubtree(head, tuple(places.values()), ancestors)
-
-
-def _finished_spools(
-    grid: Grid,
-    heads: list[Block | None],
-    stored: StoredSegments,
-    sections: dict[Block, bytes],
-    codes: dict[Block, int],
-    directory: Path,
-) -> dict[Block | None, SegmentSpool]:
-    """Return stored segments with meshes and the codes of their errors."""
-    spools: dict[Block | None, SegmentSpool] = {}
-    for head in heads:
-        spool = spools[head] = SegmentSpool(directory)
-        for key in grid.segment_groups(head):
-            rows = bytearray()
-            for block in grid.key_blocks(key):
-                rows += bytes(stored.codes(block)[: N_CODES - 1]) + bytes([codes.get(block, 0)])
-            (payload,) = stored.payloads([key])
-            spool.add(key, payload, codes=bytes(rows), mesh=sections.get(key, b""))
-        spool.finish()
-    return spools
+    return FinishedSubtree(tuple(places.values()), ancestors)
 
 
 # Pass C
@@ -467,12 +374,5 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> Pr
     BoundViolationError
         If a sample is further than the bound from the original, or valid where that is void.
     """
-    job = site.job
-    allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
-    with (
-        site.raster.open() as source,
-        TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain,
-    ):
-        comparison = Comparison(terrain, source, allowed, job.options.makes_digests)
-        shares = shares_in_turns(site.grid, unproved(terrain, source, site.grid, region))
-        return together(map(comparison.all, shares))
+    with site.raster.open() as source, comparison_of(path, site.job, source) as comparison:
+        return together(map(comparison.all, comparison.shares(source, region)))

@@ -22,13 +22,15 @@ from terrainwave.codec.cdf53.refiner import (
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tile_decoder import final_heights
-from terrainwave.write.encoder import PayloadSink, Stats, UnitEncoder
+from terrainwave.write.encoder import Start, UnitEncoder
 from terrainwave.write.job import Job
+from terrainwave.write.passes.found import Stats
 from terrainwave.write.pyramid import Pyramid
 
 # Steps of the bisection by errors; each decodes everything.
@@ -44,7 +46,7 @@ _Start = tuple[Block, LevelHeights | None]
 def encode_tiles(
     job: Job,
     pyramid: Pyramid,
-    sink: PayloadSink,
+    sink: SpoolSink,
     directory: Path,
     on_samples: Callable[[int], None],
     executor: Crew,
@@ -88,7 +90,7 @@ class TileEncoder(UnitEncoder):
         parameters: CodecParameters,
         pyramid: Pyramid,
         source: TileSource,
-        sink: PayloadSink,
+        sink: SpoolSink,
         on_samples: Callable[[int], None],
     ) -> None:
         super().__init__(grid, parameters, pyramid, sink, on_samples)
@@ -98,11 +100,13 @@ class TileEncoder(UnitEncoder):
         self._tiles: dict[Block, list[LevelHeights]] = {}
         self._n_units: dict[Block, int] = {}
         self._heads: dict[Block, LevelHeights] = {}
+        self._lock = threading.Lock()
 
     def code_unit(
-        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+        self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return a tile's payload with its first unit, and empty payloads with the others."""
+        key = start.key
         tile_key = self._layout.key_of(key)
         payload = self._begin(key) if key == tile_key else b""
         level = self._tiles[tile_key][key.level + 1 - max(tile_key.level + 1, 0)]

@@ -2,8 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor
-from functools import partial
+from contextlib import contextmanager
 from itertools import islice
 from typing import NamedTuple, TypeVar
 
@@ -11,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
-from terrainwave.container.targets.kept import Kept, digest_of_file
+from terrainwave.container.targets.kept import digest_of_file
 from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.shares import shares_of
-from terrainwave.progress import Reporter
 from terrainwave.raster_io.even import even_parts
 from terrainwave.read.coded import Content, EvenBlocks
 from terrainwave.write.job import Job
+from terrainwave.write.passes.bench import Bench
 from terrainwave.write.pyramid import IndexedWindows, SourceWindows
 
 OUR_FAULT = (
@@ -34,8 +33,7 @@ _CACHE_BYTES = 64 << 20
 _FEW = 16
 # Number of windows that are divided at a time, and of shares handed to threads.
 _BATCH, _SHARES = 4096, 1024
-Share = Sequence[Region | Block]
-ShareT = TypeVar("ShareT", bound=Share)
+ShareT = TypeVar("ShareT", bound=Region | Block)
 
 
 class Proved(NamedTuple):
@@ -57,20 +55,15 @@ def together(found: Iterable[Proved]) -> Proved:
     return Proved(largest, tiles)
 
 
-def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
-    """Return windows that cover the full grid, or the region `within`, exactly once."""
-    side = _side_of(grid)
-    return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
-
-
 def proof_shares(grid: Grid, windows: list[Region] | None = None) -> list[list[Region]]:
     """Return windows in shares for threads; each thread decodes the levels above its share.
 
-    By default those of `proof_windows`. A few windows become one share each, the largest first.
+    By default windows that cover the full grid. A few windows become one share each, the largest
+    first.
     """
     side = _side_of(grid)
     if windows is None:
-        windows = proof_windows(grid)
+        windows = list(Region(0, 0, grid.n_rows, grid.n_cols).tiles(side, side))
     if len(windows) <= _FEW:
         return [[one] for one in sorted(windows, key=lambda one: -one.n_rows * one.n_cols)]
     return shares_of(windows, lambda window: (window.row // side, window.col // side))
@@ -150,16 +143,23 @@ class Comparison:
 
     Below a block of one height, units and finest segments with neighbours on all sides decode alike
     if their bytes are equal (`EvenBlocks`): the first is decoded, the bytes of the others are
-    compared with it. Tiles are digested if `has_digests`.
+    compared with it. Tiles are digested if `has_digests`. `count` is called with the numbers of
+    compared samples.
     """
 
     def __init__(
-        self, terrain: TerrainFile, source: SourceWindows, allowed: float, has_digests: bool
+        self,
+        terrain: TerrainFile,
+        source: SourceWindows,
+        allowed: float,
+        has_digests: bool,
+        count: Callable[[int], None] = lambda _: None,
     ) -> None:
         self._terrain = terrain
         self._source = source
         self._allowed = allowed
         self._has_digests = has_digests
+        self._count = count
         self._even = EvenBlocks(terrain.container, terrain.decoder)
         # Places of tiles are those of the first block.
         self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
@@ -173,9 +173,22 @@ class Comparison:
 
     def all(self, whole: Iterable[Region | Block]) -> Proved:
         """Compare windows and blocks, as `unproved` yields them."""
-        return together(
-            self.block(one) if isinstance(one, Block) else self.windows([one]) for one in whole
-        )
+        all_found = []
+        for one in whole:
+            all_found.append(self.block(one) if isinstance(one, Block) else self.windows([one]))
+            self._count(_n_samples(self._terrain.grid, one))
+        return together(all_found)
+
+    def shares(
+        self, source: IndexedWindows, within: Region | None = None
+    ) -> Iterator[Sequence[Region | Block]]:
+        """Yield the shares of `unproved` in portions, as there may be millions."""
+        grid = self._terrain.grid
+        whole = unproved(self._terrain, source, grid, within)
+        while batch := list(islice(whole, _BATCH)):
+            yield from ([one] for one in batch if isinstance(one, Block))
+            windows = [one for one in batch if isinstance(one, Region)]
+            yield from proof_shares(grid, windows)
 
     def block(self, block: Block) -> Proved:
         """Compare all below a block on which the source has one height.
@@ -309,105 +322,65 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
     return largest
 
 
-def shares_in_turns(grid: Grid, whole: Iterator[Region | Block]) -> Iterator[Share]:
-    """Yield the shares of `unproved` in portions, as there may be millions."""
-    while batch := list(islice(whole, _BATCH)):
-        yield from ([one] for one in batch if isinstance(one, Block))
-        yield from proof_shares(grid, [one for one in batch if isinstance(one, Region)])
+class Proof:
+    """Proof of a whole file, put together from its parts.
 
-
-def proven_shares(
-    path: str | os.PathLike[str] | bytes,
-    shares: Iterable[ShareT],
-    compare: Callable[[list[ShareT]], Iterable[Proved]],
-    kept: Kept,
-) -> Iterator[tuple[ShareT, Proved]]:
-    """Yield shares of a file with their results, those of an earlier run first.
-
-    The first of these has the result of all of them. `compare` computes the others, in order.
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of the raster.
     """
-    shares, kept_proof = iter(shares), None
-    if kept.is_on and not isinstance(path, bytes):
-        kept_proof = _KeptProof(kept, f"proof/{digest_of_file(path)}")
-        found = kept_proof.found()
-        for share in islice(shares, kept_proof.done):
-            yield share, found
-            found = NOTHING
-    while batch := list(islice(shares, _SHARES)):
-        for share, result in zip(batch, compare(batch), strict=True):
-            yield share, result
-            if kept_proof is not None:
-                kept_proof.add(result)
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.largest, self.tiles = 0.0, TileDigests(shape)
+
+    def add(self, found: Proved) -> None:
+        """Add the result of a part."""
+        self.largest = max(self.largest, found.error)
+        self.tiles.add(found.tiles)
+
+    def compare(
+        self,
+        path: str | os.PathLike[str] | bytes,
+        shares: Iterable[Sequence[ShareT]],
+        compare: Callable[[Sequence[ShareT]], Proved],
+        bench: Bench,
+    ) -> None:
+        """Compare shares of a file in threads.
+
+        What an earlier run has compared of a file with the same bytes is not compared again.
+        """
+        shares, kept, waiting, n_records, done = iter(shares), bench.kept, NOTHING, 0, 0
+        name = ""
+        if kept.is_on and not isinstance(path, bytes):
+            name = f"proof/{digest_of_file(path)}"
+            while (record := kept.get(f"{name}/{n_records}")) is not None:
+                data, places = kept.data(f"{name}/{n_records}"), enumerate(record["places"])
+                tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in places}
+                self.add(Proved(record["largest"], tiles))
+                done, n_records = record["done"], n_records + 1
+            for _ in islice(shares, done):
+                pass
+
+        while batch := list(islice(shares, _SHARES)):
+            for found in bench.executor.map(compare, batch):
+                self.add(found)
+                waiting, done = together([waiting, found]), done + 1
+                if name and kept.is_due(name):
+                    error, tiles = waiting
+                    values = {"done": done, "largest": error, "places": list(tiles)}
+                    kept.put(f"{name}/{n_records}", values, b"".join(tiles.values()))
+                    waiting, n_records = NOTHING, n_records + 1
 
 
-class _KeptProof:
-    """Results of consecutive shares, stored as records."""
-
-    def __init__(self, kept: Kept, name: str) -> None:
-        self._kept = kept
-        self._name = name
-        self._n_records = 0
-        self._waiting = NOTHING
-        self.done = 0
-
-    def found(self) -> Proved:
-        """Return the result of earlier runs; `done` shares are compared."""
-        all_found = []
-        while (record := self._kept.get(self._record)) is not None:
-            places, data = record["places"], self._kept.data(self._record)
-            tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in enumerate(places)}
-            all_found.append(Proved(record["largest"], tiles))
-            self.done = record["done"]
-            self._n_records += 1
-        return together(all_found)
-
-    @property
-    def _record(self) -> str:
-        return f"{self._name}/{self._n_records}"
-
-    def add(self, result: Proved) -> None:
-        """Add the next share; store a record unless the last one is recent."""
-        self._waiting = together([self._waiting, result])
-        self.done += 1
-        if self._kept.is_due(self._name):
-            error, tiles = self._waiting
-            values = {"done": self.done, "largest": error, "places": list(tiles)}
-            self._kept.put(self._record, values, b"".join(tiles.values()))
-            self._n_records += 1
-            self._waiting = NOTHING
-
-
-def prove(
+@contextmanager
+def comparison_of(
     path: str | os.PathLike[str] | bytes,
     job: Job,
-    source: IndexedWindows,
-    executor: Executor,
-    reporter: Reporter,
-    kept: Kept,
-) -> tuple[float, TileDigests]:
-    """Decode the file from disk and compare every sample and the mask.
-
-    Return the largest error, and the digests of tiles if the file is to have them. Shares that an
-    earlier run compared in an identical file are skipped.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than the bound from the original, or valid where that is void.
-    """
-    grid = job.grid
+    source: SourceWindows,
+    count: Callable[[int], None] = lambda _: None,
+) -> Iterator[Comparison]:
+    """Open a finished file, and yield what compares it with its raster."""
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
-    largest, tiles = 0.0, TileDigests((grid.n_rows, grid.n_cols))
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        comparison = Comparison(terrain, source, allowed, job.options.makes_digests)
-        whole = unproved(terrain, source, grid)
-        total = grid.n_rows * grid.n_cols
-        count = reporter.counter("proving", total, np.dtype(job.info.dtype).itemsize)
-        compare = partial(executor.map, comparison.all)
-        shares = shares_in_turns(grid, whole)
-        for share, result in proven_shares(path, shares, compare, kept):
-            largest = max(largest, result.error)
-            tiles.add(result.tiles)
-            count(sum(_n_samples(grid, one) for one in share))
-        count(total)  # voids
-    return measured_error(largest, job.quantizer), tiles
+        yield Comparison(terrain, source, allowed, job.options.makes_digests, count)

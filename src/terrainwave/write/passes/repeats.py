@@ -8,7 +8,7 @@ raster's edge. Whole segments are copied from the first one.
 
 import threading
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,20 +17,9 @@ from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
+from terrainwave.write.passes.found import Found
 
-CodeUnit = Callable[[Block, GroupSpec, Decoded | None, Heights, Mask], tuple[bytes, Decoded]]
-
-
-class RepeatingSink(Protocol):
-    """Destination of payloads and, if it accepts them, of repeated segments."""
-
-    takes_repeats: bool
-
-    def __call__(self, key: Block, payload: bytes) -> None: ...
-
-    def repeat(self, head: Block, like: Block) -> None:
-        """Record that the segment of `head` has the bytes of that of `like`."""
-        ...
+CodeUnit = Callable[[Block, Decoded, GroupSpec, Heights, Mask], tuple[bytes, Decoded]]
 
 
 class _Below(NamedTuple):
@@ -46,7 +35,7 @@ class Repeats:
     Parameters
     ----------
     code_unit : callable
-        Codes a unit, as `UnitEncoder.code_unit`.
+        Codes a unit below a decoded block.
     """
 
     def __init__(self, grid: Grid, parameters: CodecParameters, code_unit: CodeUnit) -> None:
@@ -58,9 +47,9 @@ class Repeats:
         self._lock = threading.Lock()
 
     def code(
-        self, block: Block, parent: Decoded, target: int, sink: RepeatingSink
+        self, block: Block, parent: Decoded, target: int, found: Found
     ) -> dict[Block, BlockStats] | None:
-        """Pass all units below a block to `sink`; return the statistics of the blocks below.
+        """Pass all units below a block to `found`; return the statistics of the blocks below.
 
         Repeated segments are represented by one block. None if the block is at the raster's edge,
         or something below it does not have one height.
@@ -83,7 +72,7 @@ class Repeats:
         if below is None:
             return None
         stats: dict[Block, BlockStats] = {}
-        self._put(block, below, target, height, block.level, stats, sink)
+        self._put(block, below, target, height, block.level, stats, found)
         return stats
 
     def _is_whole(self, block: Block) -> bool:
@@ -113,9 +102,8 @@ class Repeats:
             spec = unit_spec(self._grid, self._parameters, key)
             shape = spec.region.shape
             targets = np.full(shape, target, dtype=np.int32)
-            payload, decoded = self._code_unit(
-                key, spec, parent, targets, np.ones(shape, dtype=np.bool_)
-            )
+            mask = np.ones(shape, dtype=np.bool_)
+            payload, decoded = self._code_unit(key, parent, spec, targets, mask)
             height = int(decoded.heights[0, 0])
             is_even = bool((decoded.heights == height).all())
             if (
@@ -139,33 +127,34 @@ class Repeats:
         height: int,
         top: int,
         stats: dict[Block, BlockStats],
-        sink: RepeatingSink,
+        found: Found,
     ) -> None:
         """Pass on the payloads below a block that decodes to a height."""
         grid, depth = self._grid, block.level - top
         own = below.heights[depth]
         children = grid.children(block)
-        is_head = sink.takes_repeats and grid.segment_head(block) == block
-        if is_head and self._is_repeated(block, target, height, sink):
+        if grid.segment_head(block) == block and self._is_repeated(block, target, height, found):
             error = max(abs(target - one) for one in below.heights[depth:])
             stats[children[0]] = BlockStats(target, target, error)
             if block.level + SEGMENT_LEVELS < grid.k_max:
                 at = below.heights[depth + SEGMENT_LEVELS - 1]
                 for head in grid.segment_children(block):
-                    self._put(head, below, target, at, top, stats, sink)
+                    self._put(head, below, target, at, top, stats, found)
             return
-        sink(block, below.payloads[depth])
+        found.add(block, below.payloads[depth])
         for child in children:
             stats[child] = BlockStats(target, target, abs(target - own), has_mesh=True)
             if child.level < grid.k_max:
-                self._put(child, below, target, own, top, stats, sink)
+                self._put(child, below, target, own, top, stats, found)
 
-    def _is_repeated(self, head: Block, target: int, height: int, sink: RepeatingSink) -> bool:
-        """Return whether a segment equals an earlier one, and record that."""
+    def _is_repeated(self, head: Block, target: int, height: int, found: Found) -> bool:
+        """Return whether a segment equals an earlier one, and record that, if `found` can."""
+        if found.repeat is None:
+            return False
         known = head.level, target, height
         with self._lock:
             first = self._first_heads.setdefault(known, head)
         if first == head:
             return False
-        sink.repeat(head, first)
+        found.repeat(head, first)
         return True

@@ -12,14 +12,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from terrainwave._version import __version__
 from terrainwave.container.targets.kept import Kept, kept_directory
 from terrainwave.errors import TerrainwaveWarning
-from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.raster_io.files import stamps_of
+from terrainwave.write.passes.found import Found
 
 _log = logging.getLogger(__name__)
 
@@ -129,9 +127,6 @@ def same_heights(kept: Kept, digest: str) -> None:
     kept.put("heights", {"digest": digest})
 
 
-_N_STATS = 8  # level, row, column and the values of `BlockStats`
-
-
 class KeptUnits:
     """Subtrees of coded units in a journal.
 
@@ -147,49 +142,14 @@ class KeptUnits:
         levels = (level for level in range(grid.k_max) if _side(grid, level) <= SUBTREE_SIDE)
         self.level = next(levels, -1) if kept.is_on else -1
 
-    def load(
-        self, head: Block
-    ) -> tuple[dict[Block, bytes], dict[Block, BlockStats], dict[str, Any]] | None:
-        """Return payloads, statistics and more of the units below a block; None if missing."""
+    def load(self, head: Block) -> Found | None:
+        """Return the results of the units below a block; None if missing."""
         name = self._name_of(head)
-        values = self._kept.get(name)
-        if values is None:
-            return None
-        data = self._kept.data(name)
-        n_rows = values["n_stats"]
-        rows = np.frombuffer(data, "<i8", n_rows * _N_STATS).reshape(-1, _N_STATS).tolist()
-        stats = {
-            Block(*row[:3]): BlockStats(row[3], row[4], row[5], row[6], bool(row[7]))
-            for row in rows
-        }
-        offset = 8 * n_rows * _N_STATS
-        keys = np.frombuffer(data, "<i8", values["n_keys"] * 4, offset).reshape(-1, 4)
-        offset += keys.nbytes
-        payloads: dict[Block, bytes] = {}
-        for *key, length in keys.tolist():
-            payloads[Block(*key)] = data[offset : offset + length]
-            offset += length
-        return payloads, stats, values["more"]
+        return None if self._kept.get(name) is None else Found.from_bytes(self._kept.data(name))
 
-    def save(
-        self,
-        head: Block,
-        payloads: dict[Block, bytes],
-        stats: dict[Block, BlockStats],
-        more: dict[str, Any],
-    ) -> None:
-        """Store a subtree; `more` are plain values for JSON."""
-        rows = np.array(
-            [
-                (*block, own.z_low, own.z_high, own.error, own.apart, own.has_mesh)
-                for block, own in stats.items()
-            ],
-            dtype="<i8",
-        )
-        keys = np.array([(*key, len(payload)) for key, payload in payloads.items()], dtype="<i8")
-        values = {"n_stats": len(rows), "n_keys": len(keys), "more": more}
-        data = b"".join([rows.tobytes(), keys.tobytes(), *payloads.values()])
-        self._kept.put(self._name_of(head), values, data)
+    def save(self, head: Block, found: Found) -> None:
+        """Store the results of a subtree."""
+        self._kept.put(self._name_of(head), {}, found.to_bytes())
 
     def _name_of(self, head: Block) -> str:
         return f"{self._name}/{head.level}/{head.row}/{head.col}"

@@ -2,7 +2,7 @@
 
 import shutil
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ class Windows(SourceWindows):
         self._seen = SeenTiles(self._shape, source.info.dtype, kept.path(_SEEN))
         self._lock = threading.Lock()
 
-    def n_scanned(self) -> int:
+    def _n_scanned(self) -> int:
         """Return the number of windows that an earlier run has scanned and stored."""
         if not self._seen.was_there:
             return 0
@@ -66,15 +66,31 @@ class Windows(SourceWindows):
                 return 0
         return int((self._kept.get(_SCAN) or {"n_windows": 0})["n_windows"])
 
-    def scan(self, crew: Crew, first: int = 0) -> Iterator[Window | tuple[Region, Even]]:
-        """Yield (heights, validity, row, column), once over the raster in the source's order.
+    def scan(
+        self, crew: Crew, reporter: Reporter, has_digest: bool, steps: FixedSteps | None = None
+    ) -> HeightScan:
+        """Return range, validity, vertical quantum and, if wanted, a digest of all windows.
 
-        Or (region, content) for an even region. Windows before `first` were scanned by an earlier
-        run. Each thread of `crew` reads one window at a time.
+        In the source's order. Windows that an earlier run has scanned are not read again. Each
+        thread of `crew` reads one window at a time.
         """
-        parts = self._parts(first)
+        kept, first = self._kept, self._n_scanned()
+        scan = new_scan(self._source.info, has_digest, steps)
+        state = kept.get(_SCAN)
+        if first and state is not None:
+            scan.take_state(state["scan"])
+        n_windows, parts = first, self._parts(first)
+
+        def record() -> dict[str, Any]:
+            return {"n_windows": n_windows, "scan": scan.to_state()}
+
         while some := list(islice(parts, crew.n_threads)):
-            yield from crew.map(self._scanned, some)
+            for window in crew.map(self._scanned, some):
+                take(scan, window, self._source.info, reporter)
+                n_windows += 1
+                kept.tick(_SCAN, record)
+        kept.put(_SCAN, record())
+        return scan
 
     def _parts(self, first: int) -> Iterator[tuple[Region, Even | None]]:
         for number, (region, even) in enumerate(self._source.parts()):
@@ -151,42 +167,25 @@ class Windows(SourceWindows):
                 spool.close()
 
 
-def scan_windows(
-    info: RasterInfo,
-    windows: Iterable[Window | tuple[Region, Even]],
-    reporter: Reporter,
-    *,
-    has_digest: bool,
-    steps: FixedSteps | None = None,
-    kept: Kept | None = None,
-    first: int = 0,
-) -> HeightScan:
-    """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows.
+def new_scan(info: RasterInfo, has_digest: bool, steps: FixedSteps | None = None) -> HeightScan:
+    """Return a scan of no windows yet."""
+    return HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
 
-    `kept` has the results of those before the `first` of `windows`.
-    """
-    scan = HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
-    total = info.n_rows * info.n_cols
-    kept = kept or Kept()
-    state = kept.get(_SCAN)
-    if first and state is not None:
-        scan.take_state(state["scan"])
-    n_windows = first
-    for window in windows:
-        if len(window) == 4:
-            scan.update(*window)
-        elif has_digest and window[1].is_valid:
-            _update_by_windows(scan, *window)
-        else:
-            region, even = window
-            n_samples = region.n_rows * region.n_cols
-            scan.update_even(even.value, n_samples, is_valid=even.is_valid)
-        n_windows += 1
-        kept.tick(_SCAN, lambda: {"n_windows": n_windows, "scan": scan.to_state()})  # noqa: B023
-        n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
-        reporter.report("scanning", scan.n_samples, total, n_bytes)
-    kept.put(_SCAN, {"n_windows": n_windows, "scan": scan.to_state()})
-    return scan
+
+def take(
+    scan: HeightScan, window: Window | tuple[Region, Even], info: RasterInfo, reporter: Reporter
+) -> None:
+    """Add a window, or an even region, to a scan of a whole raster, and report it."""
+    if len(window) == 4:
+        scan.update(*window)
+    elif scan.digest is not None and window[1].is_valid:
+        _update_by_windows(scan, *window)
+    else:
+        region, even = window
+        n_samples = region.n_rows * region.n_cols
+        scan.update_even(even.value, n_samples, is_valid=even.is_valid)
+    n_bytes = scan.n_samples * np.dtype(scan.dtype).itemsize
+    reporter.report("scanning", scan.n_samples, info.n_rows * info.n_cols, n_bytes)
 
 
 def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:

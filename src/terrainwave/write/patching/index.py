@@ -3,8 +3,7 @@
 Where originals are known these are measured; elsewhere the old values hold as well.
 """
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
+from collections.abc import Mapping
 from fractions import Fraction
 
 from terrainwave.codec.refiner import Heights, Mask
@@ -19,9 +18,9 @@ from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
 from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
-from terrainwave.write.encoder import Stats
+from terrainwave.write.passes.bench import Bench
+from terrainwave.write.passes.found import Found
 from terrainwave.write.patching.merged import Merged
-from terrainwave.write.patching.patch_encoder import PatchEncoder
 from terrainwave.write.pyramid import Pyramid
 
 _CACHE_BYTES = 128 << 20
@@ -37,8 +36,6 @@ class PatchedIndex:
     ----------
     header : Header
         Of the patched file.
-    counter : callable
-        Returns the sample counter of a stage, by its name.
     """
 
     def __init__(
@@ -48,25 +45,22 @@ class PatchedIndex:
         merged: Merged,
         pyramid: Pyramid,
         sink: SpoolSink,
-        executor: Executor,
-        counter: Callable[[str], Callable[[int], None]],
+        bench: Bench,
     ) -> None:
         self._terrain, self._container, self._grid = terrain, terrain.container, terrain.grid
         self._header, self._merged, self._pyramid, self._sink = header, merged, pyramid, sink
-        self._executor, self._counter = executor, counter
+        self._bench = bench
         quantizer = terrain.quantizer
         self._whole = quantizer.z_min, quantizer.z_max
         self._lost = quantizer.lost
 
-    def update(self, stats: Stats, encoder: PatchEncoder) -> tuple[bool, float]:
+    def update(self, found: Found) -> tuple[bool, float]:
         """Set all codes; return whether any changed, and the stated error of unknown originals."""
-        errors, boxes = self._codes(stats, encoder)
-        mesh_errors = self._mesh(stats, encoder.changes, errors)
+        errors, boxes = self._codes(found)
+        mesh_errors = self._mesh(found, errors)
         return self._set_codes(errors, boxes, mesh_errors), self._stated_error(errors)
 
-    def _codes(
-        self, stats: Stats, encoder: PatchEncoder
-    ) -> tuple[dict[Block, int], dict[Block, Box]]:
+    def _codes(self, found: Found) -> tuple[dict[Block, int], dict[Block, Box]]:
         """Return error codes and boxes; where originals are unknown, the old ones hold as well.
 
         A surface is no further from originals than before plus the distance that it moved, and no
@@ -75,15 +69,15 @@ class PatchedIndex:
         between = self._terrain.header.coded_error + self._lost
         errors: dict[Block, int] = {}
         below: dict[Block, Box] = {}
-        for block, own in stats.items():
+        for block, own in found.stats.items():
             old = self._container.codes(block)
             errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
-            moved = self._moved_surface(block, encoder.changes)
+            moved = self._moved_surface(block, found.changes)
             stated = decode_error(old[2]) + moved
-            if moved and block in encoder.apart_from:
-                stated = min(stated, encoder.apart_from[block] + between)
+            if moved and block in found.apart_from:
+                stated = min(stated, found.apart_from[block] + between)
             errors[block] = max(errors[block], encode_error(stated))
             if any(old[:3]) or moved or not own.is_empty:
                 # The box holds every original plus its error, so it grows with the error.
@@ -91,7 +85,7 @@ class PatchedIndex:
                 grown = max(decode_error(errors[block]) - decode_error(old[2]), 0)
                 low, high = max(low - grown, self._whole[0]), min(high + grown, self._whole[1])
                 below[block] = low, high
-        return errors, enclosing_boxes(stats, errors, self._whole, below)
+        return errors, enclosing_boxes(found.stats, errors, self._whole, below)
 
     def _stated_error(self, errors: Mapping[Block, int]) -> float:
         """Return the largest stated error of blocks with unknown originals, in raw units."""
@@ -113,9 +107,7 @@ class PatchedIndex:
         ends = (block.row + 1) * reach < grid.n_rows and (block.col + 1) * reach < grid.n_cols
         return changes.get(block, 0) * (1 if ends else _CONTINUED)
 
-    def _mesh(
-        self, stats: Stats, changes: Mapping[Block, int], errors: Mapping[Block, int]
-    ) -> dict[Block, int]:
+    def _mesh(self, found: Found, errors: Mapping[Block, int]) -> dict[Block, int]:
         """Make and measure all meshes again; return the codes of their errors.
 
         If the file had no measured errors, it gets none.
@@ -124,7 +116,7 @@ class PatchedIndex:
         if header.mesh == "none":
             return {}
         if not self._terrain.has_measured_meshes:
-            meshed = [block for block, own in stats.items() if own.has_mesh]
+            meshed = [block for block, own in found.stats.items() if own.has_mesh]
             return unmeasured_codes(grid, meshed, errors, header.mesh_tolerance)
         decoder = make_decoder(header, self._sink.payloads, _CACHE_BYTES)
         mesher, sections = make_meshes(
@@ -134,8 +126,8 @@ class PatchedIndex:
             header.mesh_tolerance,
             has_voids=self._header.has_voids,
             kind=header.mesh,
-            executor=self._executor,
-            on_samples=self._counter("making meshes"),
+            executor=self._bench.executor,
+            on_samples=self._bench.counter("making meshes"),
         )
         self._sink.set_meshes(sections)
 
@@ -143,10 +135,11 @@ class PatchedIndex:
             heights, mask = self._pyramid.originals(region)
             return heights, self._merged.known(region, mask)
 
-        count = self._counter("measuring meshes")
+        count = self._bench.counter("measuring meshes")
         lost = Fraction(self._lost)
-        codes = mesh_codes(measure_meshes(grid, mesher, known, self._executor, count, lost), lost)
-        moved = self._moved_meshes(changes, errors, sections)
+        executor = self._bench.executor
+        codes = mesh_codes(measure_meshes(grid, mesher, known, executor, count, lost), lost)
+        moved = self._moved_meshes(found.changes, errors, sections)
         open_blocks = {
             block for block in errors if not self._merged.covers(grid.full_region(block))
         }
@@ -156,7 +149,7 @@ class PatchedIndex:
             # Decoded heights stand in for unknown originals.
             lost += header.coded_error
             measured = measure_meshes(
-                grid, mesher, self._pyramid.originals, self._executor, lambda _: None, lost
+                grid, mesher, self._pyramid.originals, self._bench.executor, lambda _: None, lost
             )
             away = mesh_codes(measured, lost)
             for block in moved & open_blocks & set(away):

@@ -127,6 +127,11 @@ class Merged:
         self._check()
 
     @property
+    def info(self) -> RasterInfo:
+        """Return the metadata of the file's raster."""
+        return self._terrain.raster_info
+
+    @property
     def is_open(self) -> bool:
         """Return whether heights beyond the new raster are known only from the file."""
         return self.place.shape != self._terrain.shape

@@ -1,7 +1,7 @@
 """Coding of the units that no longer hold; all others are copied."""
 
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.shared_lines import shared_samples
 from terrainwave.codec.unit_specs import block_of_unit
 from terrainwave.file import TerrainFile
-from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quadtree import Block
 from terrainwave.grid.remainders import Remainders
-from terrainwave.write.encoder import Ancestor, TreeEncoder, distance_of
+from terrainwave.write.encoder import Start, TreeEncoder, distance_of
+from terrainwave.write.passes.found import Found
 from terrainwave.write.patching.merged import Merged
 
 
@@ -23,36 +24,31 @@ class PatchEncoder(TreeEncoder):
     def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any, **options: Any) -> None:
         self._terrain = terrain
         self._merged = merged
-        # Largest change of each block's decoded heights, in quanta, where anything changed.
-        self.changes: dict[Block, int] = {}
-        self.recoded: set[Block] = set()
-        # Largest distance of a changed coarse block's surface from finest heights that only the
-        # file knows, in quanta.
-        self.apart_from: dict[Block, int] = {}
         header = terrain.header
         refiner = refiner_by_name(header.method, header.file_tables)
         # With the original all heights are known, and none needs restoring. Corrections of
         # earlier patches remain: neighbours have the same heights.
         self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
-        self.has_corrections = False
         parameters = replace(
             header.codec_parameters, has_voids=merged.has_voids, has_corrections=self._corrects
         )
         super().__init__(terrain.grid, refiner, parameters, *rest, **options)
 
     def code_unit(
-        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+        self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return the unit's old payload, or a new one if that no longer holds."""
+        key, found = start.key, start.found
         old = self._terrain.decoder.unit(key)
         stored = self._terrain.container.payload(key)
         payload, decoded = stored, old
-        if key in self.changes or not self._holds(spec, old, target, mask):
-            payload, decoded = super().code_unit(key, spec, parent, target, mask)
-        self.has_corrections |= bool(payload and payload[0] & HAS_CORRECTIONS)
-        if payload == stored and key not in self.changes:
+        is_moved = self._has_changed(key, found)
+        if is_moved or not self._holds(spec, old, target, mask):
+            payload, decoded = super().code_unit(start, spec, target, mask)
+        found.has_corrections |= bool(payload and payload[0] & HAS_CORRECTIONS)
+        if payload == stored and not is_moved:
             return stored, old
-        self.recoded.add(key)
+        found.recoded.add(key)
         for block in self._grid.key_blocks(key):
             before, after = (
                 block_of_unit(self._grid, spec, unit, block) for unit in (old, decoded)
@@ -60,8 +56,12 @@ class PatchEncoder(TreeEncoder):
             changes = np.abs(after.heights.astype(np.int64) - before.heights)
             change = int(changes.max())
             if change or not _are_alike(before, after):
-                self.changes[block] = change
+                found.changes[block] = change
         return payload, decoded
+
+    def _has_changed(self, block: Block, found: Found) -> bool:
+        """Return whether a decoded block has changed; `found` may begin below it."""
+        return block in found.changes or block in self.found.changes
 
     def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
         """Return the heights of a unit that must come back exactly, `FREE` elsewhere.
@@ -103,55 +103,17 @@ class PatchEncoder(TreeEncoder):
         return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
 
     def _measure(
-        self,
-        spec: GroupSpec,
-        blocks: list[Block],
-        chain: list[Ancestor],
-        originals: Heights,
-        mask: Mask,
-        decoded: Decoded,
+        self, start: Start, spec: GroupSpec, originals: Heights, mask: Mask, decoded: Decoded
     ) -> None:
-        super()._measure(spec, blocks, chain, originals, mask, decoded)
+        known = self._merged.known(spec.core, mask)
+        super()._measure(start, spec, originals, known, decoded)
         valid = decoded.mask[spec.core.slices_in(spec.region)]
-        if np.array_equal(mask, valid):
+        if np.array_equal(known, valid):
             return
-        for ancestor in chain:
-            if ancestor.block in self.changes:
+        for ancestor in start.chain:
+            if self._has_changed(ancestor.block, start.found):
                 apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
-                with self._lock:
-                    largest = max(apart, self.apart_from.get(ancestor.block, 0))
-                    self.apart_from[ancestor.block] = largest
-
-    def apart(self, chain: list[Ancestor]) -> Self:
-        """Return an encoder of a subtree below `chain` with separate results."""
-        part = super().apart(chain)
-        part.changes = {block: self.changes[block] for block, *_ in chain if block in self.changes}
-        part.recoded, part.apart_from, part.has_corrections = set(), {}, False
-        return part
-
-    def found(self, chain: list[Ancestor]) -> dict[str, Any]:
-        """Return the results for a subtree below `chain`, as plain values for JSON."""
-        above = {block for block, *_ in chain}
-        changes = {block: change for block, change in self.changes.items() if block not in above}
-        return {
-            "changes": [[*block, change] for block, change in changes.items()],
-            "recoded": [[*key] for key in self.recoded],
-            "apart_from": [[*block, apart] for block, apart in self.apart_from.items()],
-            "has_corrections": self.has_corrections,
-        }
-
-    def take(self, more: dict[str, Any]) -> None:
-        """Merge the `found` of another encoder."""
-        self.changes |= {Block(*block): change for *block, change in more["changes"]}
-        self.recoded |= {Block(*key) for key in more["recoded"]}
-        for *place, apart in more["apart_from"]:
-            block = Block(*place)
-            self.apart_from[block] = max(apart, self.apart_from.get(block, 0))
-        self.has_corrections |= more["has_corrections"]
-
-    def measured(self, region: Region, mask: Mask) -> Mask:
-        """Return which samples of a region are known originals."""
-        return self._merged.known(region, mask)
+                start.found.note_apart(ancestor.block, apart)
 
 
 def _are_alike(before: Decoded, after: Decoded) -> bool:

@@ -5,10 +5,9 @@ import socket
 import sys
 import tempfile
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, Self
+from typing import Any, NamedTuple
 
 from terrainwave.arguments import in_one_line
-from terrainwave.container.depot import Meter
 from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveError
 from terrainwave.write.tasks.heap import kept_heap
 
@@ -21,41 +20,31 @@ class Workplace(NamedTuple):
     folder: str
 
 
-class Task(Protocol):
-    """First argument of a task, opened on the worker."""
-
-    def at(self, meter: Meter, folder: str) -> Self:
-        """Return a copy for one task: `meter` counts bytes read, `folder` has temporary files."""
-        ...
-
-
 class TaskOutcome(NamedTuple):
     """Outcome of a task: its result, or an error that another worker may not have."""
 
     result: Any
     error: TerrainwaveError | None
     place: Workplace
-    meter: Meter
 
 
-def run_task(function: Callable[..., Any], task: Task, *arguments: Any) -> TaskOutcome:
+def run_task(function: Callable[..., Any], *arguments: Any) -> TaskOutcome:
     """Run a task.
 
     Errors that depend on the worker (disk, memory, network, access to depot and raster) are part of
     the outcome; others are raised.
     """
-    place, meter = workplace(), Meter()
     result: Any = None
     error: TerrainwaveError | None = None
     try:
         with kept_heap():
-            result = function(task.at(meter, place.folder), *arguments)
+            result = function(*arguments)
     except (StorageError, CorruptStreamError) as problem:
         error = problem
     except (OSError, MemoryError) as problem:
         reason = "out of memory" if isinstance(problem, MemoryError) else in_one_line(problem)
         error = StorageError(f"the worker cannot do its task: {reason}")
-    return TaskOutcome(result, error, place, meter)
+    return TaskOutcome(result, error, workplace())
 
 
 def workplace() -> Workplace:

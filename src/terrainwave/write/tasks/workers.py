@@ -75,7 +75,6 @@ class Workers:
         self._client = None if isinstance(client, Executor) else client
         self._failing: dict[str, Workplace] = {}
         self._lonely_since: float | None = None
-        self.names: list[str] = []  # of the tasks' results in the depot
 
     def run(
         self, stage: str, function: Callable[..., Any], tasks: Mapping[Item, tuple[Any, ...]]
@@ -87,7 +86,7 @@ class Workers:
         stage : str
             Name of the pass, for messages.
         tasks : mapping
-            Arguments by item; the first is a `task.Task`.
+            Arguments by item.
 
         Raises
         ------
@@ -109,7 +108,6 @@ class Workers:
                     continue
                 item, _ = work.running.pop(future)
                 outcome = _outcome(future)
-                self.names += outcome.meter.names
                 if outcome.error is None:
                     yield item, outcome.result
                 else:
