@@ -150,12 +150,6 @@ def test_options_of_compress_reach_the_file(tmp_path, dem):
     assert fields["nodata"] == 100
 
 
-def test_heights_are_described_as_one_says(tmp_path, dem):
-    path = tmp_path / "a.twz"
-    run("compress", dem, path, "--max-error", 2, "--method", "store", "--title", "hills")
-    assert json.loads(run("info", path, "--json").stdout)["description"] == "hills"
-
-
 def test_a_file_made_without_the_proof_says_so(tmp_path, dem):
     for name, options in ("proved", []), ("bare", ["--no-verify"]):
         path = tmp_path / f"{name}.twz"

@@ -103,7 +103,6 @@ def compress(
     stable: bool = False,
     keep_origin: bool = False,
     digest: bool | None = None,
-    title: str | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -195,8 +194,6 @@ def compress(
         Store digests (SHA-256) of the decoded heights: `Terrain.digest` returns the one for all
         heights and their position, `verify` checks it. They take 40 bytes, and 32 more for each
         4096 x 4096 samples. The default is that of `verify`, because the proof computes them.
-    title : str, optional
-        Description of the heights, instead of the raster's.
     temp_dir : path, optional
         Directory for large temporary data; by default that of `dst`. With `client`, a path or URL
         that all workers can write to.

@@ -34,13 +34,6 @@ def _checked_range(name: str, found: Any) -> tuple[float, float]:
     return low, high
 
 
-def _checked_text(name: str, text: Any) -> str:
-    """Return a text that is one."""
-    if not isinstance(text, str):
-        raise InvalidArgumentError(f"found `{name}` {text!r}, expected text")
-    return text
-
-
 def _checked_mesh(_: str, mesh: Any) -> Any:
     check_mesh(mesh, or_none=True)
     return mesh
@@ -119,9 +112,6 @@ class Options(OptionSet):
         "Store digests (SHA-256) of the heights, by which verify finds any change; info prints"
         " their root. Default: yes, unless --no-verify.",
         typed={"names": ["--digest/--no-digest"]},
-    )
-    title: str | None = option(
-        Kind(_checked_text, values="text"), "Description of the heights, instead of the raster's."
     )
     verify: bool = option(
         FLAG, "Do not decode and compare every sample; the file says so.", default=True

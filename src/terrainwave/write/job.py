@@ -198,8 +198,6 @@ class Job:
                 metadata[EARLIER] = [file._asdict() for file in self.earlier.files]
         if self.origin is not None:
             metadata[ORIGIN] = self.origin
-        if options.title is not None:
-            metadata["description"] = options.title
         if not options.verify:
             metadata["proof"] = "none"
         has_heights = self.n_valid > 0
