@@ -228,24 +228,26 @@ native-deb: system-native
 	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
 		echo "dist/$$(ls -t *.deb | head -1)"
 
-# What the package writes, read by both.
+# What the package writes and reads by numba, read by C as well: the package has the library, too.
+by_numba = $(call with_cache,compiled) TERRAINWAVE_NATIVE=0 $(BIN)/python
+
 native-agrees: native-gcc $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
+	@$(by_numba) native/tests/against_python.py build/native/gcc/twz
 
 # twz check and terrainwave verify, of the conformance set and of mutants of it.
 native-verdicts: native-sanitized $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/verdicts.py build/native/sanitized
+	@$(by_numba) native/fuzz/verdicts.py build/native/sanitized
 
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)
 
 native-compared: native-sanitized $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/sanitized/twz $(FILES)
+	@$(by_numba) native/fuzz/compare.py build/native/sanitized/twz $(FILES)
 
 # Small sound files of each method, made by the package that is tested here; what fuzzers find
 # new stays in build/native/fuzz/corpus.
 build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py native/fuzz/forced.py | $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/seeds.py "$(CURDIR)/build/native/fuzz/seeds"
+	@$(call with_cache,compiled) $(BIN)/python native/fuzz/seeds.py "$(CURDIR)/build/native/fuzz/seeds"
 
 native-fuzz: system-native build/native/fuzz/seeds/files.txt
 	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)

@@ -137,6 +137,7 @@ logging.getLogger("terrainwave").setLevel(logging.DEBUG)
     assert "terrainwave.read.window_reader DEBUG" in done.stderr.splitlines()
 
 
+@pytest.mark.full
 def test_every_logger_is_named_after_its_module():
     """By `__name__`, but for those of uvicorn and tornado that are filtered."""
     found = {}

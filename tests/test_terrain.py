@@ -159,6 +159,7 @@ def test_the_transform_of_a_window_takes_what_read_takes(terrain, window):
     assert terrain.transform_of(window=window) == terrain.transform_of(window=(2, 3, 4, 5))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("raster", [HEIGHTS, WITH_VOIDS])
 @pytest.mark.parametrize("on_error", ["raise", "mask"])
 def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, on_error):
@@ -870,6 +871,7 @@ def assert_neighbours_agree(data, seed):
         assert n_shared > 0
 
 
+@pytest.mark.few(6)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["cdf97", "store"])
 @pytest.mark.parametrize("rings", [1, 3])

@@ -87,6 +87,7 @@ def test_options_of_cmake_are_in_its_list(job, shell, text):
 ONLY_POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios"}
 
 
+@pytest.mark.full
 def test_what_tests_import_is_there_on_every_system():
     """Windows lacks some of Python's own modules: tests would not even be collected there."""
     for folder in ("src", "tests", "benchmarks", "fuzz", "tools", "examples"):

@@ -835,6 +835,7 @@ def one_line_of_interruption(result):
     return result.stderr.strip().splitlines()[-1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 @pytest.mark.parametrize(
     ("name", "status", "word"),
@@ -979,6 +980,7 @@ def test_no_signal_comes_between_a_file_and_its_name(usual_signals, monkeypatch)
             interrupts.check()
 
 
+@pytest.mark.few(1)
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_after_the_end_of_a_command_changes_nothing(tmp_path, dem, name):

@@ -216,6 +216,7 @@ def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, 
     assert not (tmp_path / "x.png").exists()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
 def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
     """As for those who have installed terrainwave without its extra."""

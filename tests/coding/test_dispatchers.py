@@ -73,6 +73,7 @@ def test_this_release_of_numba_was_tried_and_is_used_without_a_note(chosen):
     assert chosen() == (FAST, [])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("version", some(["0.64.1", "0.99.0", "0.70.0rc1", "1.0.0", "0.6.8"], 4))
 def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(chosen, version):
     found, (note,) = chosen(f"numba.__version__ = {version!r}")
@@ -92,6 +93,7 @@ def test_a_variable_chooses_either_without_a_note(chosen):
     assert chosen(other, TERRAINWAVE_COMPILER="plain") == (PLAIN, [])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("change", "named"),
     [

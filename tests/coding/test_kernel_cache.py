@@ -103,6 +103,7 @@ def files_of(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
+@pytest.mark.few(1)
 @BOTH
 @pytest.mark.parametrize("place", ["beside", "named"])
 def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place, by):
@@ -114,6 +115,7 @@ def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place,
     assert not list(home.rglob("*.nb?"))
 
 
+@pytest.mark.few(1)
 @BOTH
 @pytest.mark.parametrize("place", ["beside", "named"])
 def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
@@ -148,6 +150,7 @@ def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_the_user(shipp
     assert private.stat().st_uid == temporary.stat().st_uid
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["writable", "link", "below others"])
 def test_a_folder_that_others_can_write_is_never_used(shipped, tmp_path, kind):
     """Its entries are pickles, which run code; the next candidate is taken."""

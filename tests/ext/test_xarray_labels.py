@@ -611,6 +611,7 @@ def encoded(array, **fields):
     return array
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("dtype", ["int16", "float32", "float64", "int32"])
 @pytest.mark.parametrize("declare", DECLARED.values(), ids=DECLARED)
 @pytest.mark.parametrize("value", [0, -9999])

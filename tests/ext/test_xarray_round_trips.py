@@ -223,6 +223,7 @@ def geotiff(data, path):
 WAYS = {"netCDF": netcdf, "Zarr": zarr, "GeoTIFF": geotiff}
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize(("dtype", "voids"), CASES)
 def test_every_void_and_height_comes_back(tmp_path, dtype, voids, packed):

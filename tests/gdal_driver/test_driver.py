@@ -79,7 +79,8 @@ def assert_all_levels_are_those_of_terrain(paths, folder):
 
 
 def test_golden_files_open_and_all_their_levels_are_terrains(folder):
-    assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz")), folder)
+    """Each fourth file: `ctest` reads all by the library that the driver calls."""
+    assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz"))[::4], folder)
 
 
 def test_levels_of_every_type_and_kind_of_voids_are_terrains(kinds, folder):

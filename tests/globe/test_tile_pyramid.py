@@ -458,6 +458,7 @@ def nearest_samples(terrain, pyramid, zoom, x, y):
     return lon[inside], lat[inside], heights.ravel()[inside]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("max_error", [0, 0.5, 3])
 @pytest.mark.parametrize("matrix", [UTM, Affine(150, 60, 4e5, 60, -150, 4e6)])
 def test_the_finest_zoom_states_the_files_own_error_and_what_tiles_need(

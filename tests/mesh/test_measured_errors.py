@@ -209,11 +209,13 @@ def file(request):
     return file_of(request.param)
 
 
+@pytest.mark.few(2)
 def test_stored_errors_are_at_least_the_true_ones(file):
     for block in file.blocks:
         assert file.stored[block] >= file.true_error(block), block
 
 
+@pytest.mark.few(2)
 def test_stored_errors_are_hardly_larger(file):
     for block in file.blocks:
         assert file.stored[block] <= 1.2 * file.true_error(block) + file.quantum, block

@@ -125,14 +125,14 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
 
     monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
     monkeypatch.setattr(cut, "_COARSE_SHARE", share)
-    for seed, shape in ((2, (300, 400)), (5, (385, 289)), (7, (513, 170))):
+    for seed, shape in ((2, (300, 400)), (7, (513, 170))):
         case = make_case(
             "graded", void, shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
             mesh="none", method="predictive",
         )  # fmt: skip
         path = write_case(case, tmp_path)
         with terrainwave.open(path) as terrain:
-            for error, sweeps in ((600, 0), (1500, 1), (4000, 0), (9000, 0), (20000, 2)):
+            for error, sweeps in ((600, 0), (4000, 1), (20000, 2)):
                 for window in (None, (37, 3, 200, 160)):
                     region = Region(*(window or (0, 0, *shape)))
                     mesh = terrain.mesh(window, max_error=error, optimise=sweeps)
@@ -140,6 +140,7 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
     assert max(map(len, levels)) >= (3 if void == "none" else 2)
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
 def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):

@@ -749,6 +749,7 @@ except StorageError as error:
 """
 
 
+@pytest.mark.few(2)
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on file sizes to set")
 @pytest.mark.parametrize(
     ("missing", "kind", "threads", "side"),
@@ -857,6 +858,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start) // 1024)
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit or is missing")
 def test_memory_stays_flat_on_a_raster_of_256_megabytes(tmp_path):
     run = subprocess.run(

@@ -40,6 +40,7 @@ def _data(request):
     return twz_bytes(heights, **{"max_error": 2, "method": "rapid", "block": 32} | options)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_window_of_any_level_that_ends_anywhere_is_that_part_of_the_level(data, threads):
     rng = np.random.default_rng(1)

@@ -51,6 +51,7 @@ def test_a_plain_open_refuses_a_file_that_ends_too_early(whole):
         terrainwave.open(part)
 
 
+@pytest.mark.few(2)
 def test_what_is_there_is_given_and_nothing_else(whole):
     """At 50 places: each unit whose payload, and those above it, are whole; as they were."""
     n_bytes = whole.stat().st_size

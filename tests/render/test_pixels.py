@@ -44,6 +44,7 @@ def random_camera(rng, frame):
     return Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("tau", some([6.0, 1.0], 2))
 def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau):
@@ -142,6 +143,7 @@ def waves(rows, cols):
     return heights, east, north
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("exaggeration", [1.0, 2.5])
 def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exaggeration):
@@ -228,6 +230,7 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
         assert max(sizes) <= 64 << 20
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "coloring", ["auto", "relative", "ramp", "slope", "textured", "level", "error", "plain"]
 )

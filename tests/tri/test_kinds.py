@@ -26,7 +26,7 @@ from terrainwave.tri.zerotree.agreement import border_of
 from terrainwave.verification.mesh_walk import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 
-N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
+N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 8
 # Coded trees are of faithful files alone: tests/codec/test_cdf97.py.
 # Coefficients are of cdf53 alone: below.
 # Making meshes of all kinds compiles for a minute; `make test` decodes them (tests/test_golden.py).

@@ -60,6 +60,7 @@ def both(tmp_path, cluster, name, **options):
     return here.read_bytes(), there.read_bytes()
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize("name", some(RASTERS, 2))
 def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
@@ -67,6 +68,7 @@ def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
     assert there == here
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize(
     "mesh", some(["halves", "none", "zerotree-plain", "zerotree-layer", "rqt"], 2)

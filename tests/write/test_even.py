@@ -129,6 +129,7 @@ def test_even_regions_are_what_is_read(tiles, name, monkeypatch):
     assert np.array_equal(again[1], valid)
 
 
+@pytest.mark.few(2)
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
 @pytest.mark.parametrize(
     ("name", "options"),
@@ -340,6 +341,7 @@ def test_sea_of_another_height_is_found_by_the_proof(sea, higher):
         )
 
 
+@pytest.mark.full
 def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
     tw.compress(higher, tmp_path / "a.twz", block=32)
     with tw.open(tmp_path / "a.twz") as terrain:
@@ -428,6 +430,7 @@ def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
         assert all(known is None for _, known in raster.windows())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("max_error", [0, 3])
 def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
     sea, tmp_path, monkeypatch, max_error
@@ -454,6 +457,7 @@ def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
     assert report.errors.rmse == pytest.approx(plain.errors.rmse)
 
 
+@pytest.mark.full
 def test_verify_finds_sea_of_another_height(sea, higher, monkeypatch):
     monkeypatch.setattr(original, "_WINDOW_SIDE", 128)
     report = tw.verify(sea[1], higher)
@@ -520,6 +524,7 @@ def test_nodata_that_gdal_takes_for_equal_is_in_doubt(tmp_path):
     assert (heights == 0).all()
 
 
+@pytest.mark.full
 def test_a_raster_that_is_coded_twice_has_the_smaller_result():
     """Noise, of which a method makes more than the raster itself: `store` is tried, too."""
     heights = np.random.default_rng(0).integers(0, 34500, (1100, 1100)).astype(np.uint16)
@@ -597,11 +602,14 @@ def is_below(key, block):
 
 
 def test_checking_bytes_keeps_no_page_of_a_finest_segment(sea, monkeypatch):
-    n_kept = []
+    n_kept, n_checked = [], 0
     check = Container._check_payloads
 
     def counted(self, segment):
-        n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
+        nonlocal n_checked
+        if n_checked % 8 == 0:  # to count takes long
+            n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
+        n_checked += 1
         return check(self, segment)
 
     monkeypatch.setattr(Container, "_check_payloads", counted)

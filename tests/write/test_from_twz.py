@@ -29,6 +29,7 @@ def made(source, path, max_error=None, **options):
     return terrainwave.compress(source, path, max_error=max_error, overwrite=True, **options)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("method", ["store", "rapid", "predictive", "cdf97", "cdf53"])
 @pytest.mark.parametrize("bound", [2, 3, 7.5])
 def test_a_coarser_file_is_within_what_is_asked_of_the_original(tmp_path, original, method, bound):

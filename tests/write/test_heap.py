@@ -61,6 +61,7 @@ def test_a_worker_keeps_what_tasks_free_until_it_is_idle():
     assert after > without / 2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("variables", [{}, {"MALLOC_TRIM_THRESHOLD_": str(1 << 30)}])
 def test_other_processes_are_left_alone(variables):
     without, within, *_ = _found(**variables)

@@ -65,6 +65,7 @@ def copied_units(before, after):
         return {key for key in keys if old.payload(key) == new.payload(key)}, set(keys)
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize(
     "options",
@@ -82,6 +83,7 @@ def test_a_lossless_file_becomes_that_of_the_new_raster(file, options):
     assert (result.n_recoded, result.n_copied) == (5, 5)
 
 
+@pytest.mark.few(3)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 3])

@@ -342,6 +342,7 @@ def test_another_folder_has_what_is_kept(tmp_path, raster, monkeypatch):
     assert hidden_in(folder) == []
 
 
+@pytest.mark.few(1)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forks")
 @pytest.mark.parametrize("has_original", [False, True])
 def test_a_patch_goes_on_after_kills(tmp_path, raster, monkeypatch, has_original):
@@ -445,6 +446,7 @@ def test_a_digest_that_is_wanted_now_is_made(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("gone", ["heights", "valid", "seen", "nested-1", "own-1"])
 def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone):
     source, target = tmp_path / "striped.tif", tmp_path / "out.twz"
