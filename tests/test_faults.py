@@ -204,6 +204,7 @@ def test_heights_that_cannot_be_coded_leave_the_target_as_it_was(target):
 # Interruption
 
 
+@pytest.mark.few(5)
 @pytest.mark.large
 @pytest.mark.parametrize("stage", ["scanning", "making levels", "encoding", "proving"])
 @pytest.mark.parametrize("threads", [1, 3])

@@ -128,6 +128,7 @@ def test_nothing_is_printed_and_nothing_changed_unless_asked(twz):
     assert (done.stdout, done.stderr) == ("", "")
 
 
+@pytest.mark.full
 def test_debug_shows_names_of_modules(twz):
     configure = """
 logging.basicConfig(format="%(name)s %(levelname)s")

@@ -344,6 +344,7 @@ def test_the_bounds_of_a_raster_are_its_pixels_outer_edges(tmp_path, transform, 
 LINE = np.array([[0.0, 3.0, 9.0]])
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     ("method", "n_cols", "expected"),
     [
@@ -788,6 +789,7 @@ def info(tmp_path):
         return terrain.info(), (tmp_path / "dem.twz").stat().st_size
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize(
     ("name", "value"),
     [

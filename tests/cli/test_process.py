@@ -113,6 +113,7 @@ def test_a_failure_without_stderr_has_its_status(tmp_path):
     assert in_shell("2>&-", "info").returncode == 2
 
 
+@pytest.mark.full
 @needs_shell
 def test_what_libraries_print_goes_into_no_file(tmp_path, dem):
     """The first file that is opened would be stderr to GDAL, numba and the C library."""
@@ -139,6 +140,7 @@ main(["compress", {str(dem)!r}, {str(tmp_path / "new.twz")!r}, "--quiet"])
     assert run("verify", tmp_path / "new.twz", dem).exit_code == 0
 
 
+@pytest.mark.full
 @needs_shell
 def test_a_note_says_that_stdout_is_closed(twz):
     done = in_shell(">&-", "info", twz)
@@ -406,6 +408,7 @@ def test_sizes_are_in_units_that_show_them():
 # --- names as long as the system takes
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("n_bytes", [228, 229, 253, 255])
 @pytest.mark.parametrize("letter", ["a", "高"])
 def test_names_may_be_as_long_as_the_system_takes(tmp_path, dem, n_bytes, letter):
@@ -608,6 +611,7 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
     assert sorted(os.listdir(tmp_path)) == before
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("error", ERRORS)
 def test_whatever_is_raised_for_one_of_many_files_stops_no_other(tmp_path, dem, monkeypatch, error):
     for name in "abc":

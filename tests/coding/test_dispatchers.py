@@ -81,11 +81,13 @@ def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(ch
     assert note.startswith(f"numba is {version}, and terrainwave was tried with numba 0.65 to ")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("version", some([f"{minor}.9" for minor in TRIED], 4))
 def test_releases_with_further_mends_get_the_fast_compiler(chosen, version):
     assert chosen(f"numba.__version__ = {version!r}") == (FAST, [])
 
 
+@pytest.mark.full
 def test_a_variable_chooses_either_without_a_note(chosen):
     assert chosen(TERRAINWAVE_COMPILER="plain") == (PLAIN, [])
     other = "numba.__version__ = '0.99.0'"
@@ -138,6 +140,7 @@ def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(
     assert named in done.stderr
 
 
+@pytest.mark.full
 def test_without_the_names_of_numbas_cache_nothing_is_kept_and_a_note_says_so(chosen):
     change = "c = numba.core.caching.Cache\nc._key = c._index_key\ndel c._index_key"
     for _ in range(2):

@@ -141,6 +141,7 @@ def edit(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+@pytest.mark.full
 def test_files_that_a_kernel_does_not_import_recompile_nothing(copied):
     edit(copied / "terrain.py", '"""', '"""Edited. ')
     edit(copied / "coding" / "zerotrees.py", '"""', '"""Edited. ')

@@ -117,6 +117,7 @@ def test_flat_ground_lies_within_the_error_everywhere_between_its_samples(tmp_pa
     assert worst > saved["curvature"] / 8
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", CASES)
 def test_samples_of_rough_ground_lie_within_the_error_on_the_globe(tmp_path, case):
     _, matrix, shape, max_error = CASES[case]
@@ -151,6 +152,7 @@ def test_files_of_all_formats_keep_to_the_error_with_curvature_and_rounding(tmp_
     assert saved["error"] >= saved["curvature"] + saved["rounding"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("max_error", [2, 5, 20, 50])
 def test_steep_ground_of_large_cells_keeps_to_the_error(tmp_path, max_error):
     # Slivers of a mesh are steep, which adds several times the share of the curvature.

@@ -67,6 +67,7 @@ def stream_of(terrain):
     return GeoTIFFStream(VirtualGeoTIFF(terrain))
 
 
+@pytest.mark.few(2)
 def test_gdal_reads_the_heights_of_the_file(source_and_terrain):
     source, terrain = source_and_terrain
     with rasterio.open(source) as original, opened(terrain) as dataset:
@@ -74,6 +75,7 @@ def test_gdal_reads_the_heights_of_the_file(source_and_terrain):
         np.testing.assert_array_equal(dataset.dataset_mask(), original.dataset_mask())
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", ["crs", "transform", "nodata", "dtype", "width", "height"])
 def test_the_profile_is_that_of_the_source(source_and_terrain, name):
     source, terrain = source_and_terrain

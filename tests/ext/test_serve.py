@@ -679,6 +679,7 @@ def test_ctrl_c_says_stopped(hilly):
     assert "target" not in complaint
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
 def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     server = start("serve", hilly, "--port", "0")
@@ -693,6 +694,7 @@ def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     assert complaint == ""
 
 
+@pytest.mark.full
 def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     missing = tmp_path / "missing.twz"
     answers = []

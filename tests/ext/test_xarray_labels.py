@@ -145,6 +145,7 @@ def test_position_counts_for_arrays_without_coordinates_and_crs():
     assert (info.transform, info.crs, notes) == (read(HEIGHTS)[2].transform, None, ())
 
 
+@pytest.mark.full
 def test_names_are_known_without_rioxarray(tmp_path):
     """rioxarray helps where it is imported; without it the same comes out."""
     code = """

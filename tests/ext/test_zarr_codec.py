@@ -290,6 +290,7 @@ def test_a_height_that_has_no_step_moves_no_other_when_it_comes_and_goes():
     np.testing.assert_array_equal(array[...], heights + np.float32(3e7))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "int32"])
 def test_heights_at_the_ends_of_a_type_stay_within_the_bound(dtype):
     limits = np.iinfo(dtype)

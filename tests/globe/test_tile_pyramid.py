@@ -139,6 +139,7 @@ def test_longitudes_may_count_from_0_or_from_minus_180(tmp_path):
         assert [pyramid.tile(1, x, y).data for x in range(4) for y in range(2)] == expected
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("matrix", "crs"),
     [

@@ -221,6 +221,7 @@ def test_stored_errors_are_hardly_larger(file):
         assert file.stored[block] <= 1.2 * file.true_error(block) + file.quantum, block
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("name", ["whole cdf97 4 1", "holed cdf97 2 3", "edge cdf97 4 1"])
 def test_errors_of_a_faithful_file_are_those_of_the_papers_recursion(name):

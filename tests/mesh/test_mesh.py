@@ -248,6 +248,7 @@ def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
         assert report.areas == ()
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("n_most", [64, 300, 700])
 def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
@@ -260,6 +261,7 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
         assert finer.error <= mesh.error
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
 def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
@@ -336,6 +338,7 @@ def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
             terrain.mesh(max_triangles=10**6, max_error=1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
 def test_a_budget_on_a_coarse_level(kind, tmp_path):
@@ -417,6 +420,7 @@ def with_mesh_code(path, target, block, code):
     return target
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_understated_error_is_found(level, tmp_path):

@@ -71,6 +71,7 @@ def file_names(folder):
 # --- round trips -------------------------------------------------------------------------------
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("dtype", RASTER_DTYPES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (530, 1030)])
 def test_each_dtype_and_shape_comes_back(tmp_path, dtype, shape):
@@ -118,6 +119,7 @@ def test_any_heights_and_voids_come_back(tmp_path_factory, data):
         np.testing.assert_array_equal(gdal_valid, valid)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     "transform",
     [

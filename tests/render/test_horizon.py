@@ -47,7 +47,7 @@ def are_hidden(frame, camera, points):
     return (way[..., 2] < ground).any(axis=0)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("mode", ["adaptive", "batched", "loose"])
 def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
@@ -77,7 +77,7 @@ def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
     assert n_wanted < 0.9 * n_wanted_all
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
 @pytest.mark.usefixtures("no_gl_errors")

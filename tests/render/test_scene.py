@@ -57,7 +57,7 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", [
     {}, {"error": "paper"}, {"mode": "loose"}, {"orientation": True, "exaggeration": 3.0},
 ])  # fmt: skip
@@ -97,7 +97,7 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert (worst > 1.1) == (options.get("mode") == "loose")
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_a_flat_raster_is_shown_by_a_sample_for_each_pixel_and_within_tau(mode):
     heights = np.round(hills(600, 800, 5, 8.0)).astype(np.int16)
@@ -303,6 +303,7 @@ def test_skirts_reach_the_neighbours_surface(original_and_terrain):
     assert n_shared > 10
 
 
+@pytest.mark.full
 def test_memory_keeps_to_its_limit_on_a_flight_and_parents_stand_in():
     heights = np.round(hills(300, 300, 7)).astype(np.int16)
     store = ListStore(max_blocks=30)

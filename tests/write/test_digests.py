@@ -178,6 +178,7 @@ def test_a_patch_refuses_digests_that_are_not_those_of_heights_beyond_it(tmp_pat
     assert path.read_bytes() == found
 
 
+@pytest.mark.full
 def test_stored_meshes_leave_digests_as_they_are(tmp_path, raster):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
     store_meshes(tmp_path / "a.twz", tmp_path / "b.twz", mesh="rqt")

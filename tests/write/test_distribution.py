@@ -78,6 +78,7 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
     assert there == here
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("name", ["voids", "strip"])
 def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
@@ -85,6 +86,7 @@ def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
     assert there == here
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store"])
 def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
@@ -176,6 +178,7 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("measure_meshes", [False, True])
 def test_a_depot_may_be_a_url(tmp_path, cluster, measure_meshes):

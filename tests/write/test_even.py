@@ -152,6 +152,7 @@ def test_files_are_the_same_whether_a_source_knows_its_voids_or_not(
     assert (tmp_path / "known.twz").read_bytes() == (tmp_path / "read.twz").read_bytes()
 
 
+@pytest.mark.full
 def test_voids_that_a_source_knows_are_never_read(tiles, tmp_path, monkeypatch):
     n_read = 0
     read = RasterSource.read
@@ -430,7 +431,7 @@ def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
         assert all(known is None for _, known in raster.windows())
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("max_error", [0, 3])
 def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
     sea, tmp_path, monkeypatch, max_error
@@ -562,6 +563,7 @@ def test_room_on_the_disk_is_asked_for_what_may_not_be_even(tmp_path, monkeypatc
             check_free_space(source, tmp_path)
 
 
+@pytest.mark.full
 def test_finished_units_take_little_memory(tmp_path):
     """Segments that are stored, and subtrees in the journal of a run: at most 64 bytes a unit."""
     grid = Grid(1 << 16, 1 << 16, 256)

@@ -133,6 +133,7 @@ def n_records(work, monkeypatch):
     return len(names)
 
 
+@pytest.mark.few(1)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="kills forks")
 @pytest.mark.parametrize(
     ("method", "name", "mesh"),
@@ -248,6 +249,7 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path, raster, monkeypatch):
     assert all(name == "journal" or name.endswith(".array") for name in names)
 
 
+@pytest.mark.full
 def test_work_of_other_options_is_removed_and_said(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     interrupted(target, raster, monkeypatch)
@@ -273,6 +275,7 @@ def test_work_of_a_source_that_has_changed_is_removed_and_said(tmp_path, raster,
         assert np.array_equal(terrain.read(), heights)
 
 
+@pytest.mark.full
 def test_a_source_behind_a_vrt_counts_too(tmp_path, raster, monkeypatch):
     vrt, target = tmp_path / "dem.vrt", tmp_path / "out.twz"
     rasterio.shutil.copy(raster, vrt, driver="VRT")
@@ -299,6 +302,7 @@ def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
     )
 
 
+@pytest.mark.full
 def test_fresh_starts_over(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     interrupted(target, raster, monkeypatch)
@@ -326,6 +330,7 @@ def test_heights_that_cannot_be_leave_nothing(tmp_path):
     assert hidden_in(tmp_path) == []
 
 
+@pytest.mark.full
 def test_another_folder_has_what_is_kept(tmp_path, raster, monkeypatch):
     folder = tmp_path / "disk"
     folder.mkdir()

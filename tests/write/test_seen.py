@@ -54,6 +54,7 @@ def patchy(dtype, seed):
     return heights, valid
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("dtype", ["int16", "uint8", "float32", "float64"])
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_said_of_a_region_is_what_all_its_samples_are(dtype, seed):
@@ -147,7 +148,7 @@ def sea_or_void(kind, tmp_path):
     return path
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["sea", "void", "sea of float", "void of float"])
 @pytest.mark.parametrize(
     ("method", "max_error", "mesh"),
