@@ -99,8 +99,6 @@ INSIDE = {
 # Of the window, what knows no OpenGL.
 WITHOUT_GPU = {"captures", "controls", "ground", "session"}
 MOST_SIDE_BY_SIDE = 14
-# Still more: none of them may grow.
-CROWDED: dict[str, int] = {}
 # Names that several modules may have: the parts that packages of methods have in common.
 PARTS = {"refiner", "file_tables", "fit", "trained"}
 # Modules called what they are for, which a module elsewhere does: a command, a mode of the viewer.
@@ -109,19 +107,9 @@ CALLED_AFTER = ("cli/commands", "render/modes")
 MOST_LINES, MOST_ARGUMENTS = 70, 10
 # Files through which `max_error` reaches the kernel that codes by it.
 MOST_FILES = 8
-LONG = {"_sweep_cells", "code_heights", "code_pass", "code_residuals"}
-# Functions of more arguments, and why.
-WIDE = {
-    "options of a user": {
-        "compress", "compress_to_bytes", "decompress", "write_pmtiles", "_draw", "verify", "view",
-        "save", "save_mesh", "save_lods", "make_app",
-    },
-    "arrays of one unit, and where in them: an array in a tuple counts references in every row": {
-        "_add_spread", "_code_line", "_code_node", "_code_tables", "_flip", "_insert",
-        "code_detail", "gather_window", "n_reached",
-    },
-    "arrays of one triangulation, and where in them": {"_flip", "_insert"},
-}  # fmt: skip
+# How many functions are longer, kernels' loops, or take more: options of a user, or arrays of one
+# unit or triangulation, since an array in a tuple counts references in every row.
+MOST_LONG, MOST_WIDE = 4, 20
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}
 MAY_OPEN_FILES = {"annexes", "raster_io", "container", "cli", "verification", "coding"}
@@ -267,8 +255,7 @@ def test_no_package_is_crowded():
         str(package.relative_to(PACKAGE)): len({*package.glob("*.py")} - {package / "__init__.py"})
         for package in packages - {PACKAGE}
     }
-    crowded = {name: n for name, n in counts.items() if n > MOST_SIDE_BY_SIDE}
-    assert crowded == CROWDED
+    assert max(counts.values()) <= MOST_SIDE_BY_SIDE, counts
 
 
 def test_a_name_of_a_module_says_which_module_it_is():
@@ -376,8 +363,8 @@ def test_functions_are_short_and_take_few_arguments():
     functions = [pair for path in modules() for pair in functions_of(tree_of(path))]
     long = {name for name, function in functions if n_lines_of(function) > MOST_LINES}
     wide = {name for name, function in functions if n_arguments_of(function) > MOST_ARGUMENTS}
-    assert long == LONG
-    assert wide == set().union(*WIDE.values())
+    assert len(long) <= MOST_LONG, long
+    assert len(wide) <= MOST_WIDE, wide
 
 
 def test_no_line_leads_back_to_itself():
@@ -472,25 +459,15 @@ def test_files_are_opened_only_at_the_edge():
             assert not is_open, f"{path.name}:{node.lineno} opens a file"
 
 
-@pytest.mark.parametrize(
-    "library",
-    [
-        "moderngl",
-        "fsspec",
-        "urllib3",
-        "xarray",
-        "zarr",
-        "pyvista",
-        "numba",
-        "rasterio",
-        "pyproj",
-        "anywidget",
-        "terrainwave.annexes",
-    ],
-)
-def test_importing_terrainwave_needs_no_heavy_library_and_no_table(library):
-    code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+HEAVY = (
+    "moderngl", "fsspec", "urllib3", "xarray", "zarr", "pyvista", "numba", "rasterio", "pyproj",
+    "anywidget", "terrainwave.annexes",
+)  # fmt: skip
+
+
+def test_importing_terrainwave_needs_no_heavy_library_and_no_table():
+    code = f"import sys, terrainwave; print({{*{HEAVY!r}}} & {{*sys.modules}})"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 @pytest.mark.parametrize(
