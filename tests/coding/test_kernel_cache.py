@@ -276,12 +276,7 @@ def test_kernels_that_cannot_be_read_or_are_damaged_are_compiled_again(installed
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    "others",
-    [
-        ({"NUMBA_BOUNDSCHECK": "1"}, {}),
-        pytest.param(({"dtype": "int16"}, {"dtype": "float64"}), marks=pytest.mark.full),
-        pytest.param(({"NUMBA_CPU_NAME": "generic"}, {}), marks=pytest.mark.full),
-    ],
+    "others", [({"NUMBA_BOUNDSCHECK": "1"}, {}), ({"NUMBA_CPU_NAME": "generic"}, {})]
 )
 def test_files_whose_numbers_two_processes_took_at_once_are_not_taken_for_each_other(
     installed, tmp_path, others

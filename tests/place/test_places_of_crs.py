@@ -37,6 +37,13 @@ def of_all(test):
     )
 
 
+def of_some(test):
+    """Meshes and frames, of a third: where samples lie is tested of all."""
+    return pytest.mark.few(5)(
+        pytest.mark.parametrize("case", CASES[::3], ids=lambda case: case.name)(test)
+    )
+
+
 @pytest.fixture(autouse=True)
 def _notes_are_tested_elsewhere():
     with warnings.catch_warnings():
@@ -157,7 +164,7 @@ def test_bounds_hold_all_samples_and_little_else(case):
         assert east - west == pytest.approx(np.ptp(np.mod(lon - west + 180, 360)), rel=0.01)
 
 
-@of_all
+@of_some
 def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     from PIL import Image
 
@@ -184,7 +191,7 @@ def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     assert np.abs(found - expected)[within].max() <= 0.05 + 0.01
 
 
-@of_all
+@of_some
 def test_cesium_tiles_have_the_heights_of_their_vertices(case):
     globe = Globe(terrain_of(case))
     pyramid = TilePyramid(globe, void_height=globe.height_range[0])
@@ -224,14 +231,14 @@ def vertices(case, mesh):
     return rows, cols, z
 
 
-@of_all
+@of_some
 def test_native_meshes_are_in_the_crs(case):
     rows, cols, heights = vertices(case, to_frame(mesh_of(case), "native"))
     assert inside(rows, cols, -1e-3).all()
     np.testing.assert_allclose(heights, plane(rows, cols), atol=0.02)
 
 
-@of_all
+@of_some
 def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -248,7 +255,7 @@ def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     assert ((outwards * corners[:, 0]).sum(axis=1) > 0).all()
 
 
-@of_all
+@of_some
 def test_local_meshes_have_the_earths_distances_and_directions(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -290,7 +297,7 @@ def _stretch_of_the_map(case, middle):
 # The viewer
 
 
-@of_all
+@of_some
 def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
     terrain = terrain_of(case)
     frame = frame_of(terrain)
@@ -307,7 +314,7 @@ def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
         assert frame.latitudes[0] < frame.latitudes[1]
 
 
-@of_all
+@of_some
 def test_a_camera_comes_back_from_its_line(case):
     frame = frame_of(terrain_of(case))
     camera = home(frame.box, Viewport(640, 480))
