@@ -44,10 +44,6 @@ def blocks_of(terrain):
     return [block for level in range(terrain.n_levels) for block in terrain.grid.blocks(level)]
 
 
-def same_mesh(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
-
-
 def check_meshes(terrain, case, kind):
     """Check that all meshes are surfaces, of this kind, and have the errors that they state."""
     assert terrain.mesh_kind == kind
