@@ -188,6 +188,7 @@ def test_flipped_bits_of_metadata_and_page_give_heights_or_our_own_error(data, s
         outcome(repaired(changed(data, bit // 8, 1 << bit % 8)))
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @STEPS
 def test_flipped_bits_of_payloads_give_heights_or_our_own_error(data, unchecked, step):
@@ -317,7 +318,7 @@ def test_checking_a_huge_void_raster_decodes_no_more_than_is_there(huge, monkeyp
         assert list(terrain.check()) == []
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("change", [0x01, 0x80])
 def test_damage_never_costs_memory(data, change):

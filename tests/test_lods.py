@@ -208,7 +208,7 @@ def tiles(at, axis, shape):
     return (0, 0, at + 1, n_cols), (at, 0, n_rows - at, n_cols)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("heights", [relief(), with_voids()], ids=["whole", "voids"])
 @pytest.mark.parametrize("max_error", [None, 1, 4, 16, 64])
 def test_edges_of_neighbouring_tiles_have_the_same_vertices(tmp_path, heights, max_error):

@@ -791,7 +791,7 @@ def test_no_command_shows_the_commands():
 # --- output that nobody takes
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes there break differently")
 @pytest.mark.parametrize("option", [(), ("--json",)])
 def test_a_closed_pipe_ends_quietly(twz, option):
@@ -802,7 +802,7 @@ def test_a_closed_pipe_ends_quietly(twz, option):
     process.stderr.close()
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
 @pytest.mark.parametrize("option", [(), ("--json",)])
 def test_a_full_disk_under_stdout_is_one_line(twz, option):
@@ -837,7 +837,7 @@ def one_line_of_interruption(result):
     return result.stderr.strip().splitlines()[-1]
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 @pytest.mark.parametrize(
     ("name", "status", "word"),

@@ -64,7 +64,7 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     assert apart.mean() < 2
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -219,7 +219,7 @@ def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, 
     assert not (tmp_path / "x.png").exists()
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
 def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
     """As for those who have installed terrainwave without its extra."""

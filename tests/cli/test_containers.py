@@ -135,6 +135,7 @@ def test_warmup_into_a_folder_with_kernels_of_others_ends_with_status_1(folder):
     assert "no kernel was kept (Permission denied)" in line
 
 
+@pytest.mark.full
 def test_warmup_whose_kernels_are_lost_ends_with_status_1(folder):
     program = """
 import os

@@ -79,7 +79,7 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(1)
 @needs_shell
 @pytest.mark.parametrize(
     ("streams", "command"),
@@ -148,6 +148,7 @@ def test_a_note_says_that_stdout_is_closed(twz):
     assert in_shell(">&-", "verify", twz, "--json").stderr == done.stderr
 
 
+@pytest.mark.full
 @needs_shell
 def test_a_file_cannot_go_to_a_closed_stdout_or_come_from_a_closed_stdin(tmp_path, dem, twz):
     for done, words in (
@@ -581,6 +582,7 @@ def commands_and_errors():
         yield from ((*layer, error) for error in some)
 
 
+@pytest.mark.few(16)
 @pytest.mark.parametrize(("command", "layer", "error"), [*commands_and_errors()])
 def test_whatever_a_layer_raises_is_one_line_and_status_1(
     tmp_path, dem, twz, monkeypatch, command, layer, error

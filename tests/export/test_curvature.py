@@ -100,7 +100,7 @@ def n_of_edges(triangles):
     return np.unique(edges, axis=0, return_counts=True)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", CASES)
 def test_flat_ground_lies_within_the_error_everywhere_between_its_samples(tmp_path, case):
     max_error, target = CASES[case][3], tmp_path / "a.ply"
@@ -268,7 +268,7 @@ def test_an_error_that_takes_too_many_triangles_is_refused_with_one_that_does_no
         assert divided(mesh, globe_way(mesh)).n_triangles < 4000
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", ["30 km of UTM", "cells of 9 km", "Mars"])
 @pytest.mark.parametrize("slope", [0, 0.1, 20])
 def test_the_error_that_a_refusal_names_is_taken_and_near_the_smallest_that_is(

@@ -142,6 +142,7 @@ def plane(tmp_path_factory):
         yield terrain
 
 
+@pytest.mark.full
 def test_overviews_of_a_plane_are_its_heights_at_the_centres_of_their_pixels(plane):
     """No shift: pixel i of the overview of a factor f has its centre at sample f·i + (f - 1)/2."""
     n_compared = 0

@@ -170,6 +170,7 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
 
+@pytest.mark.full
 def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
     west, south, side = 8.0, 46.0, 33e-7  # pixels of 1 cm
     path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)

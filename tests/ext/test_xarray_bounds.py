@@ -297,7 +297,7 @@ def test_heights_that_came_from_no_file_have_no_bound(lossy):
         assert dataset.heights.terrainwave.bound() is None
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["cdf97", "cdf53", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 1])
 def test_levels_have_the_bound_that_holds_for_them(raster_and_file, tmp_path, method, max_error):

@@ -335,6 +335,7 @@ def test_coordinates_rounded_to_decimals_are_even(decimals):
     assert read(array)[2].transform[0] == pytest.approx(1 / 3600, rel=1e-4)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [7, 16, 32, 64, 128, 320])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_gaussian_rows_are_no_grid_however_nearly_they_are(n, dtype):

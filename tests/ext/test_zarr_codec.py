@@ -230,7 +230,7 @@ def bits(heights):
     return np.ascontiguousarray(heights).view(f"u{heights.itemsize}")
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("kind", "max_error", "layout"),
     [(*case, layout) for case, layout in zip(CASES, itertools.cycle(LAYOUTS), strict=False)],
@@ -251,7 +251,7 @@ def test_writes_of_parts_keep_the_bound_and_move_nothing_else(kind, max_error, l
     assert 0 < largest_error(array, originals) <= max_error
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("kind", "max_error"), CASES)
 def test_appended_rows_move_none_of_the_chunk_they_share(kind, max_error):
     heights = five_kinds()[kind]
@@ -264,7 +264,7 @@ def test_appended_rows_move_none_of_the_chunk_they_share(kind, max_error):
     assert 0 < largest_error(array, heights) <= max_error
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("kind", "max_error"), CASES)
 def test_ten_copies_hold_the_same_heights(kind, max_error):
     heights = five_kinds()[kind]

@@ -140,7 +140,7 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
     assert max(map(len, levels)) >= (3 if void == "none" else 2)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
 def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
@@ -261,7 +261,7 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
         assert finer.error <= mesh.error
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
 def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
@@ -389,6 +389,7 @@ def kernel_meshes():
     return found
 
 
+@pytest.mark.full
 def test_kernels_give_the_same_meshes_as_plain_python():
     code = "import json, sys, test_mesh; json.dump(test_mesh.kernel_meshes(), sys.stdout)"
     environment = os.environ | {
@@ -470,6 +471,7 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
     case = make_case("noise", "corners", (70, 70), 2, amplitude=900.0, max_error=1, block=32)

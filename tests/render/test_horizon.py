@@ -104,6 +104,7 @@ def settled(mountains, **options):
     return scene, scene.view(low_cameras(scene.frame, 9)[8], VIEWPORT, 1.0)
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_where_a_parent_stands_in_for_what_hides_nothing_is_left_out(mountains):
     scene, view = settled(mountains)

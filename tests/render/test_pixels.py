@@ -69,7 +69,7 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau)
     assert len(n_levels) > (2 if mode == "adaptive" else 1)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_no_gap_shows_while_paging(context, rough, mode):
     """Blocks of all levels side by side, parents standing in: still no gap."""
@@ -144,7 +144,7 @@ def waves(rows, cols):
     return heights, east, north
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("exaggeration", [1.0, 2.5])
 def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exaggeration):

@@ -416,6 +416,7 @@ def verified_part(folder, *args, **profile):
     return verify(folder / "a.twz", part_raster(folder, *args, **profile), part=True)
 
 
+@pytest.mark.few(1)
 def test_a_part_is_compared_where_it_was_patched(patched, tmp_path):
     report = verified_part(tmp_path, patched)
     assert report.ok, report.problems

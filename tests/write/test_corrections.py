@@ -170,6 +170,7 @@ def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):
             np.testing.assert_array_equal(terrain.read((row, col, *part.shape)), part)
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(
     ("method", "mesh", "n_patches"),
@@ -214,6 +215,7 @@ def test_with_the_original_no_corrections_are_made(tmp_path):
         assert not terrain.header.has_corrections
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("method", some(["rapid", "predictive"], 2))
 def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_path, method):

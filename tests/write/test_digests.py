@@ -34,7 +34,7 @@ def digest_of(path):
         return terrain.digest()
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "options",
     [
@@ -135,7 +135,7 @@ def changed_part(tmp_path, raster):
     return write_geotiff(tmp_path / "part.tif", part, nodata=NODATA, units=("m",), **profile)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("max_error", [0, 4])
 def test_a_patch_makes_the_digests_anew(tmp_path, raster, max_error):
     path, part = patched(tmp_path, raster, max_error=max_error, height_range=(-1000, 9000))
@@ -148,6 +148,7 @@ def test_a_patch_makes_the_digests_anew(tmp_path, raster, max_error):
     )
 
 
+@pytest.mark.full
 def test_a_patch_adds_no_digests(tmp_path, raster):
     path, part = patched(tmp_path, raster, digest=False, height_range=(-1000, 9000))
     tw.patch(path, part)
@@ -159,6 +160,7 @@ def digest_of_none(path):
         return terrain.digest() is None
 
 
+@pytest.mark.full
 def test_a_patch_refuses_digests_that_are_not_those_of_heights_beyond_it(tmp_path):
     heights = terrain_like(4, 4200, seed=2)
     source = write_geotiff(tmp_path / "dem.tif", heights, units=("m",))
@@ -185,7 +187,7 @@ def test_stored_meshes_leave_digests_as_they_are(tmp_path, raster):
     assert digest_of(tmp_path / "b.twz") == digest_of(tmp_path / "a.twz")
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("block", [32, 1024])
 def test_the_root_is_checked_in_blocks_of_any_size(tmp_path, raster, block):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS | {"block": block, "digest": False})
@@ -226,6 +228,7 @@ def test_heights_with_digests_of_their_own_are_found_by_the_root_only(tmp_path):
     assert problem.endswith(f"expected {root}")
 
 
+@pytest.mark.full
 def test_another_place_is_found_by_the_root(tmp_path, raster):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
     root = digest_of(tmp_path / "a.twz")

@@ -178,7 +178,7 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("measure_meshes", [False, True])
 def test_a_depot_may_be_a_url(tmp_path, cluster, measure_meshes):

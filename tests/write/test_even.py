@@ -129,7 +129,7 @@ def test_even_regions_are_what_is_read(tiles, name, monkeypatch):
     assert np.array_equal(again[1], valid)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
 @pytest.mark.parametrize(
     ("name", "options"),
@@ -360,6 +360,7 @@ def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
         assert {height + terrain.header.base for height in finest} == {0, 5}
 
 
+@pytest.mark.full
 def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch):
     monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
     monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
@@ -411,6 +412,7 @@ def test_verify_reads_samples_of_voids_that_both_files_know(tiles, tmp_path, nam
     assert shapes.count((1, 1)) >= 5
 
 
+@pytest.mark.full
 def test_verify_finds_heights_where_the_original_knows_a_void(tiles, tmp_path):
     sources = sources_of(tiles)
     tw.compress(sources["sea"], tmp_path / "a.twz")
@@ -603,6 +605,7 @@ def is_below(key, block):
     return (key.row >> depth, key.col >> depth) == (block.row, block.col)
 
 
+@pytest.mark.full
 def test_checking_bytes_keeps_no_page_of_a_finest_segment(sea, monkeypatch):
     n_kept, n_checked = [], 0
     check = Container._check_payloads

@@ -178,6 +178,7 @@ def test_a_bound_that_no_file_can_state_names_the_next(tmp_path):
     assert result.effective_error <= before
 
 
+@pytest.mark.full
 def test_any_bound_of_small_heights_is_settled(tmp_path):
     """Quanta of many digits: the bound that is left differs from the one before in the last one."""
     rng = np.random.default_rng(0)

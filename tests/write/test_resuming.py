@@ -207,6 +207,7 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     assert len(reads) < first_reads / 2
 
 
+@pytest.mark.full
 def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
     def failing(*_):
         raise StorageError("the disk is full")
@@ -260,6 +261,7 @@ def test_work_of_other_options_is_removed_and_said(tmp_path, raster, monkeypatch
     assert target.read_bytes() == (tmp_path / "b.twz").read_bytes()
 
 
+@pytest.mark.full
 def test_work_of_a_source_that_has_changed_is_removed_and_said(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     interrupted(target, raster, monkeypatch)
@@ -286,6 +288,7 @@ def test_a_source_behind_a_vrt_counts_too(tmp_path, raster, monkeypatch):
         terrainwave.compress(vrt, target, **OPTIONS)
 
 
+@pytest.mark.full
 def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
     heights, target = terrain_like(*SHAPE, seed=3), tmp_path / "out.twz"
     interrupted(target, heights, monkeypatch)
@@ -311,6 +314,7 @@ def test_fresh_starts_over(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
+@pytest.mark.full
 def test_a_small_raster_needs_nothing_and_removes_what_is_there(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     interrupted(target, raster, monkeypatch)
@@ -385,6 +389,7 @@ with only_writer(path, path.parent, "it"):
 """
 
 
+@pytest.mark.full
 def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, raster):
     target = tmp_path / "out.twz"
     source = tmp_path / "source.twz"
@@ -420,6 +425,7 @@ def stopped(monkeypatch, work, at="terrainwave.write.local.encode"):
             work()
 
 
+@pytest.mark.full
 def test_sources_of_the_same_files_are_told_apart(tmp_path, monkeypatch):
     """Pages of one file: the file alone does not say which."""
     pages = tmp_path / "pages.tif"
@@ -451,7 +457,7 @@ def test_a_digest_that_is_wanted_now_is_made(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("gone", ["heights", "valid", "seen", "nested-1", "own-1"])
 def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone):
     source, target = tmp_path / "striped.tif", tmp_path / "out.twz"
