@@ -118,8 +118,9 @@ tests/ext/node_modules/.installed: tests/ext/package.json
 test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
-# What `make test` leaves out.
-test-all: test-full test-bounds test-python native native-sanitized native-agrees native-verdicts native-compared native-fuzz
+# What `make test` leaves out. The last four need one core each, and what is BUILT before.
+test-all: test-full test-bounds test-python native native-sanitized
+	@$(MAKE) --no-print-directory -j$(WORKERS) BUILT=1 native-agrees native-verdicts native-compared native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -136,11 +137,13 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
+# One worker more: browsers, servers and windows are waited for.
 test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy tests/ext/node_modules/.installed
-	@$(call with_cache,compiled) $(COMPILED) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
+	@$(call with_cache,compiled) $(COMPILED) -n $$(($(WORKERS) + 1)) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
+# Less optimised: compiled in three quarters of the time, and the bounds are the same.
 test-bounds: $(VENV)/.installed-dev system
-	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 $(COMPILED) -m "kernels and not files" --hypothesis-profile=full
+	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(COMPILED) -m "kernels and not files" --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
 	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not (large or full)"
@@ -228,24 +231,26 @@ native-deb: system-native
 	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
 		echo "dist/$$(ls -t *.deb | head -1)"
 
-# What the package writes, read by both.
-native-agrees: native-gcc $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
+# What the package writes and reads by numba, read by C as well: the package has the library, too.
+by_numba = $(call with_cache,compiled) TERRAINWAVE_NATIVE=0 $(BIN)/python
+
+native-agrees: $(if $(BUILT),,native-gcc) $(VENV)/.installed-dev
+	@$(by_numba) native/tests/against_python.py build/native/gcc/twz
 
 # twz check and terrainwave verify, of the conformance set and of mutants of it.
-native-verdicts: native-sanitized $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/verdicts.py build/native/sanitized
+native-verdicts: $(if $(BUILT),,native-sanitized) $(VENV)/.installed-dev
+	@$(by_numba) native/fuzz/verdicts.py build/native/sanitized
 
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)
 
-native-compared: native-sanitized $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/sanitized/twz $(FILES)
+native-compared: $(if $(BUILT),,native-sanitized) $(VENV)/.installed-dev
+	@$(by_numba) native/fuzz/compare.py build/native/sanitized/twz $(FILES)
 
 # Small sound files of each method, made by the package that is tested here; what fuzzers find
 # new stays in build/native/fuzz/corpus.
 build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py native/fuzz/forced.py | $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/seeds.py "$(CURDIR)/build/native/fuzz/seeds"
+	@$(call with_cache,compiled) $(BIN)/python native/fuzz/seeds.py "$(CURDIR)/build/native/fuzz/seeds"
 
 native-fuzz: system-native build/native/fuzz/seeds/files.txt
 	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)

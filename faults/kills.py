@@ -35,7 +35,7 @@ Row = namedtuple(
 _OPENED_TO_WRITE = os.O_WRONLY | os.O_RDWR
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod")
 MAIN_COMMANDS = ("compress", "patch", "mesh --store", "decompress")
-_MOST_OPENS = 30  # of the moments before files are opened to be written
+_MOST_OPENS = 30  # of the moments before files are opened to be written; fewer of few kills
 
 
 def rows(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[Row]:
@@ -59,7 +59,7 @@ def rows(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[Row
         )
         opens = [k for k, kind in enumerate(operations) if kind == "open"]
         chosen = {k for k, kind in enumerate(operations) if kind in _CHANGES}
-        chosen |= set(generator.sample(opens, min(len(opens), _MOST_OPENS)))
+        chosen |= set(generator.sample(opens, min(len(opens), _MOST_OPENS, 2 * n)))
         kills = [_before_operation(k) for k in sorted(chosen)]
         yield _row("before a file operation", command, work, kills)
 

@@ -1,4 +1,4 @@
-"""Which cases of a parameter `make test` takes; `make test-all` takes all."""
+"""Cases of one of several parameters that `make test` takes; of all together: the mark `few`."""
 
 import pytest
 

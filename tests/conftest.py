@@ -4,7 +4,7 @@ import importlib.util
 import os
 import shutil
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -34,32 +34,42 @@ _COMMON = settings(
     suppress_health_check=[HealthCheck.too_slow],
 )
 # `make test-all` draws full ones, of what `make test` has drawn fast (--hypothesis-profile=full).
-settings.register_profile("full", _COMMON, max_examples=60)
+settings.register_profile("full", _COMMON, max_examples=30)
 settings.register_profile("fast", _COMMON, max_examples=10)
 settings.load_profile("fast")
 
-# Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
-# marked `kernels`.
+# Tests in which no kernel of ours does what is tested, or C does: they run once, compiled. All
+# others are marked `kernels`.
 WITHOUT_KERNELS = {
     "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
-    "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
-    "test_docs.py", "test_examples.py", "test_extras.py", "test_logging.py",
-    "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
-    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py", "test_install_lines.py",
-    "test_workflows.py", "test_release.py",
+    "test_annexes.py", "test_archive.py", "test_architecture.py", "test_arguments.py",
+    "test_cache.py", "test_camera.py", "test_compiler.py", "test_compilers.py", "test_controls.py",
+    "test_convert_in_c.py", "test_crew.py", "test_dispatchers.py", "test_docs.py",
+    "test_examples.py", "test_extras.py", "test_faults.py", "test_format_example.py",
+    "test_install_lines.py", "test_javascript_kernels.py", "test_kernel_cache.py", "test_lint.py",
+    "test_logging.py", "test_masks_in_c.py", "test_mime.py", "test_native.py",
+    "test_polynomials.py", "test_pyinstaller.py", "test_raises.py", "test_ramps.py",
+    "test_release.py", "test_types.py", "test_units_in_c.py", "test_wheels.py", "test_window.py",
+    "test_workflows.py",
 }  # fmt: skip
-# Tests of whole files, marked `files` and `large`: what their kernels compute has tests of its own.
-# The others with kernels run with bounds checked, and as plain Python unless they are `large`.
+# Tests of whole files or pictures, marked `files` and `large`: what their kernels compute has tests
+# of its own. The others with kernels run with bounds checked, and as plain Python unless they are
+# `large`.
 OF_FILES = {
-    "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_coefficients.py",
-    "test_lods.py", "test_loose.py", "test_names.py", "test_read_ahead.py", "test_salvage.py",
-    "test_terrain.py", "test_unmeasured.py", "test_voids.py",
+    "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_captions.py",
+    "test_coefficients.py", "test_colors.py", "test_determinism.py", "test_drape_detail.py",
+    "test_front_pixels.py", "test_lods.py", "test_loose.py", "test_names.py", "test_pixels.py",
+    "test_read_ahead.py", "test_salvage.py", "test_solid.py", "test_terrain.py",
+    "test_unmeasured.py", "test_voids.py", "test_water.py",
 }  # fmt: skip
 # Tests of the main paths: they run without the native library, and once more with it.
 BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "test_verify.py"}
-# The longest of all. Then workers begin at different ends of what compiles, or both would compile
-# the same: codecs, meshes.
-FIRST = ("test_warmup.py", "test_containers.py", "test_compilers.py", "test_terrain.py", "tri")
+# The longest of all. Then one worker compiles the codecs, while the other one compiles meshes and
+# starts processes: or both would compile the same.
+FIRST = (
+    "test_containers.py", "test_warmup.py", "test_compilers.py", "test_reference_decoder.py", "tri",
+    "coding", "test_extras.py", "test_architecture.py",
+)  # fmt: skip
 
 
 def pytest_configure(config):
@@ -115,6 +125,7 @@ def pytest_generate_tests(metafunc):
 
 def pytest_collection_modifyitems(config, items):
     """Mark what holds kernels, sort files; leave out what needs what cannot be had here."""
+    _leave_to_full(items)
     n_tests = Counter(item.path for item in items)
     for item in items:
         parts = item.path.relative_to(TESTS).parts
@@ -144,6 +155,23 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in left_out]
+
+
+def _leave_to_full(items):
+    """Mark as `full` all cases of a test with the mark `few`, but as many as that says.
+
+    These lie evenly among its cases.
+    """
+    cases = defaultdict(list)
+    for item in items:
+        if item.get_closest_marker("few"):
+            cases[item.nodeid.partition("[")[0]].append(item)
+    for those in cases.values():
+        (n,) = those[0].get_closest_marker("few").args
+        kept = {len(those) * i // n for i in range(n)}
+        for number, item in enumerate(those):
+            if number not in kept:
+                item.add_marker("full")
 
 
 def _is_for_other_systems(item) -> bool:

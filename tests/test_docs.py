@@ -8,11 +8,9 @@ import tomllib
 from pathlib import Path
 
 import click
-import nbformat
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from nbclient import NotebookClient
 from strategies import write_geotiff
 
 from terrainwave.cli import main
@@ -49,6 +47,7 @@ def run(line):
     return CliRunner().invoke(main, arguments)
 
 
+@pytest.mark.few(5)
 @pytest.mark.large
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_snippets_run_in_the_order_of_the_page(page, folder):
@@ -75,6 +74,9 @@ def test_commands_that_are_only_shown_exist():
 @pytest.mark.large
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path, tmp_path):
+    import nbformat  # here: it takes six seconds, of each worker
+    from nbclient import NotebookClient
+
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells), "clear its outputs"
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()

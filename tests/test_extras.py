@@ -57,6 +57,7 @@ def calls_of_need():
                 yield node
 
 
+@pytest.mark.full
 def test_every_extra_that_a_message_names_exists():
     named = set()
     for call in calls_of_need():
@@ -84,6 +85,7 @@ def installed_names(requirements):
     return {{"pillow": "PIL", "pysocks": "socks"}.get(name, name) for name in names}
 
 
+@pytest.mark.full
 def test_what_is_imported_is_required_and_the_other_way_round():
     imported = {name.split(".")[0] for name in imported_packages()}
     imported -= {*sys.stdlib_module_names, "terrainwave"}
@@ -154,6 +156,7 @@ def optional_packages():
     return set().union(*(set(installed_names(extras[name])) for name in users))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("hidden", ["all", "pyproj", "PIL"])
 def test_each_command_names_the_extra_that_has_all_it_needs(tmp_path, hidden):
     """`view` named the extra of meshes, as that has pyproj, too."""

@@ -214,6 +214,7 @@ def case_of(heights, nodata=None):
     return Case(heights, valid, nodata)
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64"])
 def test_a_single_sample_works(dtype, method):
@@ -245,6 +246,7 @@ def test_heights_that_give_way_to_nodata_are_within_the_bound_stated(max_error):
         assert worst <= terrain.effective_error <= max_error
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 @pytest.mark.parametrize("max_error", [256, 300, 400, 500, 600])
 def test_nodata_at_the_end_of_int32_is_never_decoded(method, max_error):
@@ -263,6 +265,7 @@ def test_all_of_int32_keeps_the_bound(max_error):
     check(case_of(heights), twz_bytes(heights, max_error=max_error), max_error)
 
 
+@pytest.mark.few(4)
 @pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 3])
 @pytest.mark.parametrize("shape", [(1, 3000), (3000, 2), (300, 300)])

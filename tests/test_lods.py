@@ -66,6 +66,7 @@ def distances(path, heights):
     return heights - found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("heights", [relief(), with_voids()], ids=["whole", "voids"])
 def test_every_original_is_within_the_error_that_each_file_states(tmp_path, heights):
     path = made(tmp_path, heights)
@@ -105,6 +106,7 @@ def test_a_level_of_detail_has_edges_of_its_own_only_along_the_raster(tmp_path):
         assert np.any(is_on, axis=0).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("frame", ["native", "local", "ecef"])
 def test_all_have_one_origin_and_one_picture(tmp_path, frame):
     """Voids along an edge are another outline on each level, which moved the middle."""
@@ -151,6 +153,7 @@ def torn(mesh):
     return replace(mesh, triangles=np.delete(mesh.triangles, mesh.n_triangles // 2, axis=0))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("change", "words"),
     [(moved, "further from it than the stated error"), (torn, "covered in part")],
@@ -205,6 +208,7 @@ def tiles(at, axis, shape):
     return (0, 0, at + 1, n_cols), (at, 0, n_rows - at, n_cols)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("heights", [relief(), with_voids()], ids=["whole", "voids"])
 @pytest.mark.parametrize("max_error", [None, 1, 4, 16, 64])
 def test_edges_of_neighbouring_tiles_have_the_same_vertices(tmp_path, heights, max_error):

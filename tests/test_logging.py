@@ -128,6 +128,7 @@ def test_nothing_is_printed_and_nothing_changed_unless_asked(twz):
     assert (done.stdout, done.stderr) == ("", "")
 
 
+@pytest.mark.full
 def test_debug_shows_names_of_modules(twz):
     configure = """
 logging.basicConfig(format="%(name)s %(levelname)s")
@@ -137,6 +138,7 @@ logging.getLogger("terrainwave").setLevel(logging.DEBUG)
     assert "terrainwave.read.window_reader DEBUG" in done.stderr.splitlines()
 
 
+@pytest.mark.full
 def test_every_logger_is_named_after_its_module():
     """By `__name__`, but for those of uvicorn and tornado that are filtered."""
     found = {}

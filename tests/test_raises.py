@@ -161,6 +161,7 @@ def documented(package):
     return documented
 
 
+@pytest.mark.full
 def test_each_exception_that_a_docstring_names_is_raised(package, documented):
     wrong = {
         (*place, name)

@@ -159,6 +159,7 @@ def test_the_transform_of_a_window_takes_what_read_takes(terrain, window):
     assert terrain.transform_of(window=window) == terrain.transform_of(window=(2, 3, 4, 5))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("raster", [HEIGHTS, WITH_VOIDS])
 @pytest.mark.parametrize("on_error", ["raise", "mask"])
 def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, on_error):
@@ -343,6 +344,7 @@ def test_the_bounds_of_a_raster_are_its_pixels_outer_edges(tmp_path, transform, 
 LINE = np.array([[0.0, 3.0, 9.0]])
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     ("method", "n_cols", "expected"),
     [
@@ -787,6 +789,7 @@ def info(tmp_path):
         return terrain.info(), (tmp_path / "dem.twz").stat().st_size
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -870,6 +873,7 @@ def assert_neighbours_agree(data, seed):
         assert n_shared > 0
 
 
+@pytest.mark.few(6)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["cdf97", "store"])
 @pytest.mark.parametrize("rings", [1, 3])

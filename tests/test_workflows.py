@@ -29,7 +29,6 @@ def lines_run():
 
 
 LINES = list(lines_run())
-each = pytest.mark.parametrize(("job", "shell", "text"), LINES, ids=[line[0] for line in LINES])
 
 
 def test_there_are_steps_of_each_workflow():
@@ -39,54 +38,56 @@ def test_there_are_steps_of_each_workflow():
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
-@each
-def test_lines_are_written_as_their_shell_reads_them(job, shell, text):
-    if shell == "bash":
-        assert subprocess.run(["bash", "-n", "-c", text], check=False).returncode == 0, job
+def test_lines_are_written_as_their_shell_reads_them():
+    for job, shell, text in LINES:
+        if shell == "bash":
+            assert subprocess.run(["bash", "-n", "-c", text], check=False).returncode == 0, job
 
 
-@each
-def test_targets_of_make_are_in_the_makefile(job, shell, text):
-    for words in re.findall(r"^\s*make ([\w -]+)$", text, re.MULTILINE):
-        for target in words.split():
-            assert re.search(rf"^[\w -]*\b{target}\b[\w -]*:", MAKEFILE, re.MULTILINE), target
+def test_targets_of_make_are_in_the_makefile():
+    for _, _, text in LINES:
+        for words in re.findall(r"^\s*make ([\w -]+)$", text, re.MULTILINE):
+            for target in words.split():
+                assert re.search(rf"^[\w -]*\b{target}\b[\w -]*:", MAKEFILE, re.MULTILINE), target
 
 
-@each
-def test_files_that_are_named_are_there(job, shell, text):
-    named = re.findall(
-        r"(?:^|[\s\"'])((?:tests|native|src|docs)(?:[/\\][\w.-]+)*)", text, re.MULTILINE
-    )
-    for name in named:
-        assert (ROOT / name.replace("\\", "/")).exists(), name
+def test_files_that_are_named_are_there():
+    for _, _, text in LINES:
+        named = re.findall(
+            r"(?:^|[\s\"'])((?:tests|native|src|docs)(?:[/\\][\w.-]+)*)", text, re.MULTILINE
+        )
+        for name in named:
+            assert (ROOT / name.replace("\\", "/")).exists(), name
 
 
-@each
-def test_pytest_is_given_marks_that_there_are(job, shell, text):
-    marks = {line.partition(":")[0] for line in PROJECT["tool"]["pytest"]["ini_options"]["markers"]}
-    for quoted, plain in re.findall(r"pytest\b.* -m (?:\"([^\"]+)\"|(\w+))", text):
-        names = set(re.findall(r"\w+", quoted or plain)) - {"not", "and", "or"}
-        assert names <= marks
-        Expression.compile(quoted or plain)
+def test_pytest_is_given_marks_that_there_are():
+    markers = PROJECT["tool"]["pytest"]["ini_options"]["markers"]
+    marks = {line.partition(":")[0] for line in markers}
+    for _, _, text in LINES:
+        for quoted, plain in re.findall(r"pytest\b.* -m (?:\"([^\"]+)\"|(\w+))", text):
+            names = set(re.findall(r"\w+", quoted or plain)) - {"not", "and", "or"}
+            assert names <= marks
+            Expression.compile(quoted or plain)
 
 
-@each
-def test_extras_that_are_installed_are_those_of_the_project(job, shell, text):
-    for names in re.findall(r"pip install .*\"\.\[([\w,]+)\]\"", text):
-        assert set(names.split(",")) <= PROJECT["project"]["optional-dependencies"].keys()
+def test_extras_that_are_installed_are_those_of_the_project():
+    for _, _, text in LINES:
+        for names in re.findall(r"pip install .*\"\.\[([\w,]+)\]\"", text):
+            assert set(names.split(",")) <= PROJECT["project"]["optional-dependencies"].keys()
 
 
-@each
-def test_options_of_cmake_are_in_its_list(job, shell, text):
+def test_options_of_cmake_are_in_its_list():
     known = "".join(path.read_text("utf-8") for path in (ROOT / "native").rglob("CMakeLists.txt"))
     known += "".join(path.read_text("utf-8") for path in (ROOT / "native").rglob("*.cmake"))
-    for name in re.findall(r"-D(TWZ_\w+)=", text):
-        assert re.search(rf"\b{name}\b", known), name
+    for _, _, text in LINES:
+        for name in re.findall(r"-D(TWZ_\w+)=", text):
+            assert re.search(rf"\b{name}\b", known), name
 
 
 ONLY_POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "termios"}
 
 
+@pytest.mark.full
 def test_what_tests_import_is_there_on_every_system():
     """Windows lacks some of Python's own modules: tests would not even be collected there."""
     for folder in ("src", "tests", "benchmarks", "fuzz", "tools", "examples"):

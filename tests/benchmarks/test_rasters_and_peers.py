@@ -211,6 +211,7 @@ def test_codecs_of_arrays_are_timed_by_their_own_call_alone(monkeypatch, tmp_pat
     assert decode()[1] is given[1]
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("name", ["cog", "sz3"])
 def test_a_timed_read_takes_what_a_bare_one_takes(monkeypatch, tmp_path, name):

@@ -567,6 +567,7 @@ def test_threads_are_shared(monkeypatch, threads, each):
     assert max(most) == n_at_once
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 def test_a_signal_ends_all_jobs_and_leaves_what_is_finished(tmp_path):
     rng = np.random.default_rng(0)

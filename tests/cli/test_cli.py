@@ -803,6 +803,7 @@ def test_no_command_shows_the_commands():
 # --- output that nobody takes
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes there break differently")
 @pytest.mark.parametrize("option", [(), ("--json",)])
 def test_a_closed_pipe_ends_quietly(twz, option):
@@ -813,6 +814,7 @@ def test_a_closed_pipe_ends_quietly(twz, option):
     process.stderr.close()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
 @pytest.mark.parametrize("option", [(), ("--json",)])
 def test_a_full_disk_under_stdout_is_one_line(twz, option):
@@ -847,6 +849,7 @@ def one_line_of_interruption(result):
     return result.stderr.strip().splitlines()[-1]
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 @pytest.mark.parametrize(
     ("name", "status", "word"),
@@ -991,6 +994,7 @@ def test_no_signal_comes_between_a_file_and_its_name(usual_signals, monkeypatch)
             interrupts.check()
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_after_the_end_of_a_command_changes_nothing(tmp_path, dem, name):
@@ -1251,6 +1255,7 @@ def test_every_command_has_help():
 # --- demo ------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_demo_checks_and_draws(tmp_path):
     done = run("demo", tmp_path / "demo")

@@ -65,6 +65,7 @@ def asked(monkeypatch):
     return asked
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("goal", [{"max_error": 3}, {"max_triangles": 700}, {}])
 def test_the_command_and_python_make_the_same_mesh(tmp_path, goal):

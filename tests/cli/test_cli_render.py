@@ -54,6 +54,7 @@ def test_the_printed_camera_gives_the_same_picture(file, tmp_path):
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
+@pytest.mark.full
 def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     for mode in ("full", "adaptive"):
         done = run("render", file, tmp_path / f"{mode}.png", "--size", "200x150", "--mode", mode,
@@ -63,6 +64,7 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     assert apart.mean() < 2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -80,6 +82,7 @@ def test_what_is_decoded_before_the_first_picture_is_said(file, tmp_path, option
     assert (words or "") in done.stderr
 
 
+@pytest.mark.full
 def test_a_legend_and_a_scale_bar_are_drawn_where_asked_for(file, tmp_path):
     size = ("--size", "300x200")
     run("render", file, tmp_path / "a.png", *size)
@@ -216,6 +219,7 @@ def test_pictures_with_text_name_the_library_that_is_missing(monkeypatch, file, 
     assert not (tmp_path / "x.png").exists()
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
 def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
     """As for those who have installed terrainwave without its extra."""
@@ -249,6 +253,7 @@ def test_help_needs_no_heavy_library(library):
 _FRONTS = [pytest.param(mode, marks=pytest.mark.full) for mode in ("dynamic", "rqt")]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["adaptive", "batched", "full", *_FRONTS])
 def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, mode):
     stats = tmp_path / "a.json"
@@ -262,6 +267,7 @@ def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, m
     assert f"{said['caption']}; measured {measured:.3g} pixels" in done.output
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["batched", "adaptive", *_FRONTS])
 def test_no_pixels_are_promised_where_errors_are_no_bounds(file, tmp_path, mode):
     stats = tmp_path / "a.json"

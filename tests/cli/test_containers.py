@@ -27,6 +27,11 @@ COMPRESS = (
     "compress", "dem.tif", "dem.twz", "--max-error", "0", "--method", "store", "--no-mesh",
     "--overwrite",
 )  # fmt: skip
+# `warmup` of the image compiles what the page's commands need; test_warmup.py runs all of it.
+FEWER_KERNELS = """
+SUPPORTED_DTYPES, METHODS = ("float32",), {DEFAULT_METHOD.name: DEFAULT_METHOD}
+TASKS = dict.fromkeys(TASKS, _nothing_more) | {"read": _read}
+"""
 # Says on stderr how many kernels a command has compiled.
 COUNTED = """
 import sys
@@ -90,6 +95,7 @@ def test_where_kernels_are_kept_is_said_once_and_the_second_run_compiles_nothing
     assert run(folder, *COMPRESS) == (0, [], 0)
 
 
+@pytest.mark.full
 def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(folder):
     for _ in range(2):
         status, lines = run(folder, *COMPRESS, program=NOWHERE)
@@ -105,6 +111,7 @@ def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(folder):
     assert lines == ["compiling kernels, for this run only: this takes some seconds"]
 
 
+@pytest.mark.full
 def test_warmup_that_can_keep_nothing_ends_at_once_with_status_1(folder):
     for found in (
         run(folder, "warmup", program=NOWHERE),
@@ -128,6 +135,7 @@ def test_warmup_into_a_folder_with_kernels_of_others_ends_with_status_1(folder):
     assert "no kernel was kept (Permission denied)" in line
 
 
+@pytest.mark.full
 def test_warmup_whose_kernels_are_lost_ends_with_status_1(folder):
     program = """
 import os
@@ -195,12 +203,14 @@ def test_every_line_of_the_page_runs_and_others_compile_nothing(image, folder):
             ignored = shutil.ignore_patterns("__pycache__")
             package = image / "package" / "terrainwave"
             shutil.copytree(ROOT / "src" / "terrainwave", package, ignore=ignored)
+            with (package / "cli" / "warmup.py").open("a", encoding="utf-8") as file:
+                file.write(FEWER_KERNELS)
         elif word == "ENV":
             name, _, value = rest.partition("=")
             variables[name] = value.replace("/opt/kernels", str(image / "kernels"))
         elif word == "RUN":
             (n_compiled,) = in_shell(image, folder, rest, by=by, **variables)
-            assert n_compiled > 100
+            assert n_compiled > 10
         elif word == "USER":
             assert rest == "nobody"
             by = as_stranger

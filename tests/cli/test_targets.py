@@ -211,6 +211,7 @@ def test_compress_and_decompress_go_through_pipes(tmp_path, dems):
     assert sorted(os.listdir(tmp_path)) == ["a.tif", "b.tif", "back.tif", "c.tif"]
 
 
+@pytest.mark.full
 def test_nothing_goes_to_stdout_if_it_fails(tmp_path):
     status, data, said = pipe(b"no raster", "compress", "-", "-", *QUICK)
     assert (status, data) == (1, b"")

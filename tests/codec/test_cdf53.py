@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from containers import open_container
 from strategies import terrain_like
 from twz import twz_bytes
 
@@ -233,11 +232,6 @@ def test_a_position_counts_planes_from_the_finest():
 
 
 # Damage
-
-
-def payloads_of(data):
-    with open_container(data) as container:
-        return container.payload(Block(-1, 0, 0))
 
 
 @pytest.mark.large

@@ -38,6 +38,7 @@ def parent_of(target):
     return lowpass_analysis(target, (0, 0), target.shape, (0, 0), shape)
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
 @pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
 def test_bound_holds_on(name, step):
@@ -47,6 +48,7 @@ def test_bound_holds_on(name, step):
         check(lone_spec(target.shape, step, 0, shared, parent=False), None, target)
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
 @pytest.mark.parametrize("step", [1, 3, (1 << 28) + 1])
 def test_bound_holds_in_faithful_files_on(name, step):
@@ -76,6 +78,7 @@ def test_faithful_units_have_coefficients_of_one_step_where_others_have_none(par
     assert coding.step_code == 36  # 2.25 (delta + p / 2), in 1/16
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2)])
 @pytest.mark.parametrize("shared", [NOT_SHARED, ALL_SHARED])
 @pytest.mark.parametrize("has_parent", [False, True])
@@ -166,6 +169,7 @@ def test_smaller_than_raw_by_far_on_smooth_terrain():
 # Groups next to each other ---------------------------------------------------------------------
 
 
+@pytest.mark.few(8)
 @pytest.mark.large
 @pytest.mark.parametrize("rings", [1, 3])
 @pytest.mark.parametrize("has_voids", [False, True])

@@ -54,6 +54,7 @@ def drawn(spec, seed, share, most=None):
     return values
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("rings", [1, 3])
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.002, 0.1, 0.9]), st.sampled_from(STEPS))
@@ -97,6 +98,7 @@ def test_a_section_takes_about_its_entropy(share, step):
     assert entropy * 0.98 <= len(encode_corrections(added, spec)) <= 1.06 * entropy + 50
 
 
+@pytest.mark.few(3)
 @pytest.mark.large
 @pytest.mark.parametrize(("method", "rings"), [("rapid", 1), ("predictive", 1), ("predictive", 3)])
 @pytest.mark.parametrize(("step", "has_void"), some([(5, True), (3, False), (4001, True)], 1))

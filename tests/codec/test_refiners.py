@@ -46,6 +46,7 @@ def check(refiner, spec, parent, target, mask=None):
     return payload, heights
 
 
+@pytest.mark.few(9)
 @each_refiner
 @pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
 @pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
@@ -59,6 +60,7 @@ def test_bound_holds_on(refiner, name, step, effort):
         check(refiner, lone_spec(target.shape, step, effort, shared, parent=False), None, target)
 
 
+@pytest.mark.few(11)
 @each_refiner
 @pytest.mark.parametrize(
     "shape",
@@ -130,6 +132,7 @@ def test_noise_costs_little_more_than_plain_bits(refiner, step):
 # Groups next to each other ---------------------------------------------------------------------
 
 
+@pytest.mark.few(8)
 @pytest.mark.large
 @pytest.mark.parametrize(
     ("refiner", "rings"),  # the default has no rings

@@ -155,6 +155,7 @@ def test_the_least_and_the_most_are_no_functions_to_compile(monkeypatch):
     assert [e.data["dispatcher"].py_func.__name__ for e in starts] == ["extremes"]
 
 
+@pytest.mark.full
 def test_parts_may_use_what_numba_brings():
     assert of_library(5) == 10
     assert of_library(0) == 0

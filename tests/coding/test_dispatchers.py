@@ -69,10 +69,12 @@ def chosen(tmp_path_factory):
 FAST, PLAIN = ("fast", False, True), ("plain", True, False)
 
 
+@pytest.mark.full
 def test_this_release_of_numba_was_tried_and_is_used_without_a_note(chosen):
     assert chosen() == (FAST, [])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("version", some(["0.64.1", "0.99.0", "0.70.0rc1", "1.0.0", "0.6.8"], 4))
 def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(chosen, version):
     found, (note,) = chosen(f"numba.__version__ = {version!r}")
@@ -80,11 +82,13 @@ def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(ch
     assert note.startswith(f"numba is {version}, and terrainwave was tried with numba 0.65 to ")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("version", some([f"{minor}.9" for minor in TRIED], 4))
 def test_releases_with_further_mends_get_the_fast_compiler(chosen, version):
     assert chosen(f"numba.__version__ = {version!r}") == (FAST, [])
 
 
+@pytest.mark.full
 def test_a_variable_chooses_either_without_a_note(chosen):
     assert chosen(TERRAINWAVE_COMPILER="plain") == (PLAIN, [])
     other = "numba.__version__ = '0.99.0'"
@@ -92,6 +96,7 @@ def test_a_variable_chooses_either_without_a_note(chosen):
     assert chosen(other, TERRAINWAVE_COMPILER="plain") == (PLAIN, [])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -136,6 +141,7 @@ def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(
     assert named in done.stderr
 
 
+@pytest.mark.full
 def test_without_the_names_of_numbas_cache_nothing_is_kept_and_a_note_says_so(chosen):
     change = "c = numba.core.caching.Cache\nc._key = c._index_key\ndel c._index_key"
     for _ in range(2):
@@ -145,6 +151,7 @@ def test_without_the_names_of_numbas_cache_nothing_is_kept_and_a_note_says_so(ch
         assert "Cache._index_key" in note
 
 
+@pytest.mark.full
 def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "terrainwave", "warmup", "--for", "compress"],

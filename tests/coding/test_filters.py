@@ -116,21 +116,6 @@ def test_synthesis_survives_extremes():
 # Growth -----------------------------------------------------------------------------------
 
 
-def lifted(line):
-    """Return every stage of one forward transform of a line, in float64."""
-    low, high = line[0::2].copy(), line[1::2].copy()
-    stages = []
-    for k, weight in enumerate(LIFTING):
-        if k % 2 == 0:
-            right = np.append(low[1:], low[-1:])[: len(high)]
-            high = high + weight * (low[: len(high)] + right)
-        else:
-            left = np.append(high[:1], high)[: len(low)]
-            low = low + weight * (left + np.append(high, high[-1:])[: len(low)])
-        stages.append((low, high))
-    return stages
-
-
 def unlifted(low, high):
     """Return every stage of one inverse transform, in float64."""
     stages = []

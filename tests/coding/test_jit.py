@@ -91,6 +91,7 @@ def files_named_by(node):
         yield next(path for path in names if path.is_file())
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("path", files_with_kernels(), ids=lambda path: path.stem)
 def test_sources_are_what_the_imports_of_a_file_lead_to(path):
     found, waiting = set(), [path]
@@ -141,6 +142,7 @@ def edit(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+@pytest.mark.full
 def test_files_that_a_kernel_does_not_import_recompile_nothing(copied):
     edit(copied / "terrain.py", '"""', '"""Edited. ')
     edit(copied / "coding" / "zerotrees.py", '"""', '"""Edited. ')
@@ -154,6 +156,7 @@ def test_a_constant_recompiles_the_kernels_whose_file_imports_it(copied):
     assert scaled == 15
 
 
+@pytest.mark.full
 def test_a_part_is_compiled_with_its_kernels_and_again_when_its_text_changes(copied):
     # The first use compiled no `times` by itself.
     edit(copied / "coding" / "example_part.py", "factor * number", "-factor * number")
@@ -162,6 +165,7 @@ def test_a_part_is_compiled_with_its_kernels_and_again_when_its_text_changes(cop
     assert scaled < 0
 
 
+@pytest.mark.full
 def test_kernels_of_the_viewer_follow_their_own_text(copied):
     edit(copied / "render" / "modes" / "regular.py", '"""', '"""Edited. ')
     assert used(copied)[0] == ["half_place"]

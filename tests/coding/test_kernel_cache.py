@@ -103,6 +103,7 @@ def files_of(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
+@pytest.mark.full
 @BOTH
 @pytest.mark.parametrize("place", ["beside", "named"])
 def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place, by):
@@ -114,6 +115,7 @@ def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place,
     assert not list(home.rglob("*.nb?"))
 
 
+@pytest.mark.few(1)
 @BOTH
 @pytest.mark.parametrize("place", ["beside", "named"])
 def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
@@ -133,6 +135,7 @@ def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
     assert private.stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.full
 def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_the_user(shipped, tmp_path):
     temporary = own_folder(tmp_path / "temporary")
     for expected in ["half_place"], []:
@@ -148,6 +151,7 @@ def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_the_user(shipp
     assert private.stat().st_uid == temporary.stat().st_uid
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["writable", "link", "below others"])
 def test_a_folder_that_others_can_write_is_never_used(shipped, tmp_path, kind):
     """Its entries are pickles, which run code; the next candidate is taken."""
@@ -185,6 +189,7 @@ def test_a_folder_of_another_user_is_not_private_even_to_root(tmp_path):
     assert not kernel_places._is_private(str(below))
 
 
+@pytest.mark.full
 def test_where_no_place_is_found_a_note_says_so_once(shipped):
     nowhere = "kernel_places._folders_of_the_user = lambda: iter(())"
     for _ in range(2):
@@ -269,13 +274,9 @@ def test_kernels_that_cannot_be_read_or_are_damaged_are_compiled_again(installed
     assert used(installed, **options)[0] == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
-    "others",
-    [
-        ({"NUMBA_BOUNDSCHECK": "1"}, {}),
-        pytest.param(({"dtype": "int16"}, {"dtype": "float64"}), marks=pytest.mark.full),
-        pytest.param(({"NUMBA_CPU_NAME": "generic"}, {}), marks=pytest.mark.full),
-    ],
+    "others", [({"NUMBA_BOUNDSCHECK": "1"}, {}), ({"NUMBA_CPU_NAME": "generic"}, {})]
 )
 def test_files_whose_numbers_two_processes_took_at_once_are_not_taken_for_each_other(
     installed, tmp_path, others

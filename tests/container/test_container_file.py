@@ -90,6 +90,7 @@ def test_bodies_lie_in_the_file_by_level_then_morton():
     assert len({one.head.level for one in segments[1:]}) == 2
 
 
+@pytest.mark.full
 def test_pages_of_children_lie_together_before_the_payloads_above_them():
     header = toy_header(17_000, 3000)
     with open_container(toy_file(header)) as container:

@@ -24,7 +24,6 @@ from terrainwave.grid.quadtree import Block
 
 HEADER = toy_header(1030, 2)  # k_max = 6: level 2's three blocks are heads of segments
 DATA = toy_file(HEADER)
-LIST = deflate(b"[]", read_annex("dictionary.txt"))
 
 
 def problems(data):
@@ -108,7 +107,6 @@ def test_any_bytes_in_the_middle_are_found(start, data):
 # Forged: the checksums are right.
 
 TOP = page_layout(HEADER.grid, None)
-N_CHILDREN = len(TOP.children)
 
 
 def with_children(lengths, page_lengths=None):

@@ -36,6 +36,7 @@ def raster(shape, dtype, seed=0):
 SHAPES = [(1, 1), (5, 5), (512, 512), (513, 511), (3, 4097), (4096, 2), (1, 33_000), (40_000, 3)]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_section_is_that_of_the_slow_decoder(shape):
     heights, valid = raster(shape, "int16")

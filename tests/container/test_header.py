@@ -97,6 +97,7 @@ def test_text_mode_damage_shows_in_the_magic():
         unpack_header(packed().replace(b"\r\n", b"\n"))
 
 
+@pytest.mark.few(32)
 @pytest.mark.parametrize("byte_pos", range(HEADER_SIZE))
 def test_every_changed_byte_of_the_header_is_noticed(byte_pos):
     data = bytearray(packed())

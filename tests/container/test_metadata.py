@@ -48,6 +48,7 @@ def test_every_kind_of_nodata_comes_back(nodata):
     assert unpack_metadata(pack_metadata({"nodata": nodata})) == {"nodata": nodata}
 
 
+@pytest.mark.full
 @given(
     st.dictionaries(
         st.text(max_size=8).map("own ".__add__),
@@ -135,6 +136,7 @@ def test_brackets_in_strings_are_no_nesting():
     assert unpack_metadata(pack_metadata(metadata)) == metadata
 
 
+@pytest.mark.full
 def test_a_bomb_is_stopped_while_it_inflates():
     bomb = deflated(b" " * 200_000_000)
     assert len(bomb) < MAX_METADATA

@@ -26,6 +26,7 @@ def one_sided(heights, side, max_error):
     return editor.bytes()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("side", ["above", "below"])
 @pytest.mark.parametrize(
     ("dtype", "divisor"),

@@ -100,6 +100,7 @@ def n_of_edges(triangles):
     return np.unique(edges, axis=0, return_counts=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", CASES)
 def test_flat_ground_lies_within_the_error_everywhere_between_its_samples(tmp_path, case):
     max_error, target = CASES[case][3], tmp_path / "a.ply"
@@ -116,6 +117,7 @@ def test_flat_ground_lies_within_the_error_everywhere_between_its_samples(tmp_pa
     assert worst > saved["curvature"] / 8
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", CASES)
 def test_samples_of_rough_ground_lie_within_the_error_on_the_globe(tmp_path, case):
     _, matrix, shape, max_error = CASES[case]
@@ -150,6 +152,7 @@ def test_files_of_all_formats_keep_to_the_error_with_curvature_and_rounding(tmp_
     assert saved["error"] >= saved["curvature"] + saved["rounding"]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("max_error", [2, 5, 20, 50])
 def test_steep_ground_of_large_cells_keeps_to_the_error(tmp_path, max_error):
     # Slivers of a mesh are steep, which adds several times the share of the curvature.
@@ -265,6 +268,7 @@ def test_an_error_that_takes_too_many_triangles_is_refused_with_one_that_does_no
         assert divided(mesh, globe_way(mesh)).n_triangles < 4000
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("case", ["30 km of UTM", "cells of 9 km", "Mars"])
 @pytest.mark.parametrize("slope", [0, 0.1, 20])
 def test_the_error_that_a_refusal_names_is_taken_and_near_the_smallest_that_is(

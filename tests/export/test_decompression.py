@@ -252,6 +252,7 @@ def cog(tmp_path_factory):
     return decoded, decompress(folder / "dem.twz", folder / "dem.tif", cog=True)
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_a_cog_is_one(cog):
     with rasterio.open(cog[1]) as dataset:

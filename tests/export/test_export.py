@@ -32,7 +32,6 @@ SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
 # Heights are depths below the mean sea level.
 DEPTHS = CRS("EPSG:32633+5715").to_wkt()
 FORMATS = [name for name in MESH_ENDINGS if name != ".terrain"]
-DOUBLES = [".ply", ".obj", ".vtu", ".vtk"]
 FLOATS = [".stl", ".glb", ".gltf"]
 
 

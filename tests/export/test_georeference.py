@@ -101,6 +101,7 @@ def test_a_virtual_geotiff_tells_what_it_lacks(tmp_path):
             assert dataset.crs is None
 
 
+@pytest.mark.full
 def test_stdout_tells_that_the_crs_is_lost(tmp_path):
     twz = compressed(tmp_path, CF_POLE)
     command = [sys.executable, "-m", "terrainwave", "decompress", str(twz), "-"]

@@ -67,6 +67,7 @@ def stream_of(terrain):
     return GeoTIFFStream(VirtualGeoTIFF(terrain))
 
 
+@pytest.mark.few(2)
 def test_gdal_reads_the_heights_of_the_file(source_and_terrain):
     source, terrain = source_and_terrain
     with rasterio.open(source) as original, opened(terrain) as dataset:
@@ -74,6 +75,7 @@ def test_gdal_reads_the_heights_of_the_file(source_and_terrain):
         np.testing.assert_array_equal(dataset.dataset_mask(), original.dataset_mask())
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", ["crs", "transform", "nodata", "dtype", "width", "height"])
 def test_the_profile_is_that_of_the_source(source_and_terrain, name):
     source, terrain = source_and_terrain
@@ -140,6 +142,7 @@ def plane(tmp_path_factory):
         yield terrain
 
 
+@pytest.mark.full
 def test_overviews_of_a_plane_are_its_heights_at_the_centres_of_their_pixels(plane):
     """No shift: pixel i of the overview of a factor f has its centre at sample f·i + (f - 1)/2."""
     n_compared = 0

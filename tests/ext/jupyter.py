@@ -9,7 +9,6 @@ import sys
 import time
 import urllib.request
 
-import nbformat
 from ext.browser import PATIENCE, wait_until
 
 _PANEL = "[...jupyterapp.shell.widgets('main')][0]"
@@ -82,6 +81,8 @@ class Notebook:
     """
 
     def __init__(self, driver, address, path, cells):
+        import nbformat  # here: it takes six seconds, of each worker
+
         spec = {"kernelspec": {"name": "python3", "display_name": "Python 3"}}
         made = nbformat.v4.new_notebook(
             cells=[nbformat.v4.new_code_cell(code) for code in cells], metadata=spec

@@ -170,6 +170,7 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
 
+@pytest.mark.full
 def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
     west, south, side = 8.0, 46.0, 33e-7  # pixels of 1 cm
     path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)
@@ -679,6 +680,7 @@ def test_ctrl_c_says_stopped(hilly):
     assert "target" not in complaint
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
 def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     server = start("serve", hilly, "--port", "0")
@@ -693,6 +695,7 @@ def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
     assert complaint == ""
 
 
+@pytest.mark.full
 def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     missing = tmp_path / "missing.twz"
     answers = []

@@ -90,6 +90,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_browser_shows_nothing_old_after_a_restart(tmp_path, monkeypatch, change):
     path = write_twz(tmp_path, hills(65, 97), BOUNDS, max_error=2)
@@ -147,6 +148,7 @@ def tiles_of(client, **headers):
 TILES = "/hills/rgb/{z}/{x}/{y}.png"
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("headers", "begins"),
     [

@@ -36,6 +36,7 @@ def client(hilly):
         yield client
 
 
+@pytest.mark.full
 def test_gdal_reads_true_heights_over_http(hilly):
     options = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_USE_HEAD": "YES"}
     with (

@@ -277,6 +277,7 @@ def test_a_defect_is_logged_and_what_clients_cause_is_not():
         assert client_limits._is_logged(record) == is_logged
 
 
+@pytest.mark.full
 def test_few_names_are_listed(hilly):
     app = make_app([str(hilly)])
     for _ in range(12):

@@ -102,6 +102,7 @@ def test_second_loss_adds_to_the_first(lossy, tmp_path, change, max_error):
     assert any("within 1 of an original" in note for note in result.notes)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store", "cdf53"])
 def test_bounds_of_a_second_file_hold_for_the_first_original(
     raster_and_file, lossy, tmp_path, method
@@ -119,6 +120,7 @@ def test_bounds_of_a_second_file_hold_for_the_first_original(
         assert terrain.mesh().error >= terrain.effective_error - 1e-9
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("dtype", "bound", "second", "expected"),
     [
@@ -295,6 +297,7 @@ def test_heights_that_came_from_no_file_have_no_bound(lossy):
         assert dataset.heights.terrainwave.bound() is None
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("method", ["cdf97", "cdf53", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 1])
 def test_levels_have_the_bound_that_holds_for_them(raster_and_file, tmp_path, method, max_error):

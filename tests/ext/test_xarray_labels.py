@@ -145,6 +145,7 @@ def test_position_counts_for_arrays_without_coordinates_and_crs():
     assert (info.transform, info.crs, notes) == (read(HEIGHTS)[2].transform, None, ())
 
 
+@pytest.mark.full
 def test_names_are_known_without_rioxarray(tmp_path):
     """rioxarray helps where it is imported; without it the same comes out."""
     code = """
@@ -334,6 +335,7 @@ def test_coordinates_rounded_to_decimals_are_even(decimals):
     assert read(array)[2].transform[0] == pytest.approx(1 / 3600, rel=1e-4)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("n", [7, 16, 32, 64, 128, 320])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_gaussian_rows_are_no_grid_however_nearly_they_are(n, dtype):
@@ -611,6 +613,7 @@ def encoded(array, **fields):
     return array
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize("dtype", ["int16", "float32", "float64", "int32"])
 @pytest.mark.parametrize("declare", DECLARED.values(), ids=DECLARED)
 @pytest.mark.parametrize("value", [0, -9999])

@@ -50,6 +50,7 @@ def opened(tif, **options):
     return rioxarray.open_rasterio(tif, masked=True, **options).squeeze("band", drop=True)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("place", [*PLACES.values(), *TURNED.values()], ids=[*PLACES, *TURNED])
 def test_file_minus_its_raster_loses_no_sample_on_any_level(tmp_path, place):
     heights = terrain_like(150, 170)
@@ -223,6 +224,7 @@ def geotiff(data, path):
 WAYS = {"netCDF": netcdf, "Zarr": zarr, "GeoTIFF": geotiff}
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("packed", [False, True])
 @pytest.mark.parametrize(("dtype", "voids"), CASES)
 def test_every_void_and_height_comes_back(tmp_path, dtype, voids, packed):

@@ -79,7 +79,8 @@ def assert_all_levels_are_those_of_terrain(paths, folder):
 
 
 def test_golden_files_open_and_all_their_levels_are_terrains(folder):
-    assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz")), folder)
+    """Each fourth file: `ctest` reads all by the library that the driver calls."""
+    assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz"))[::4], folder)
 
 
 def test_levels_of_every_type_and_kind_of_voids_are_terrains(kinds, folder):
@@ -855,16 +856,14 @@ except RuntimeError as error:
 # ---- Files that are wrong ----
 
 
-@pytest.mark.parametrize(
-    "path", sorted((GOLDEN / "invalid").glob("*.twz")), ids=lambda path: path.stem
-)
-def test_an_invalid_file_is_one_error_line_at_most(path, folder):
-    """Of those that only readers of meshes find wrong nothing may be said."""
-    ended = run("gdal_translate", "-q", "-of", "ENVI", path, folder / "invalid.raw")
-    assert ended.returncode in (0, 1), ended.stderr
-    lines = error_lines(ended)
-    assert len(lines) == ended.returncode, ended.stderr
-    assert all(path.name in line for line in lines)
+def test_an_invalid_file_is_one_error_line_at_most(folder):
+    """Of those that only readers of meshes find wrong nothing may be said. `ctest` reads all."""
+    for path in sorted((GOLDEN / "invalid").glob("*.twz"))[::3]:
+        ended = run("gdal_translate", "-q", "-of", "ENVI", path, folder / "invalid.raw")
+        assert ended.returncode in (0, 1), ended.stderr
+        lines = error_lines(ended)
+        assert len(lines) == ended.returncode, ended.stderr
+        assert all(path.name in line for line in lines)
 
 
 DAMAGE = """

@@ -78,6 +78,7 @@ def test_an_archive_holds_every_tile_that_has_terrain(tmp_path, transform, crs):
     assert -180e7 <= header["min_lon_e7"] < header["max_lon_e7"] <= 180e7
 
 
+@pytest.mark.full
 def test_tiles_lie_in_the_order_of_the_formats_curve(tmp_path):
     with terrainwave.open(make_twz(tmp_path, side=500)) as terrain:
         *_, last = write_pmtiles(terrain, tmp_path / "dem.pmtiles", min_zoom=9)

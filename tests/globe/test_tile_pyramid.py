@@ -139,6 +139,7 @@ def test_longitudes_may_count_from_0_or_from_minus_180(tmp_path):
         assert [pyramid.tile(1, x, y).data for x in range(4) for y in range(2)] == expected
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("matrix", "crs"),
     [
@@ -458,6 +459,7 @@ def nearest_samples(terrain, pyramid, zoom, x, y):
     return lon[inside], lat[inside], heights.ravel()[inside]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("max_error", [0, 0.5, 3])
 @pytest.mark.parametrize("matrix", [UTM, Affine(150, 60, 4e5, 60, -150, 4e6)])
 def test_the_finest_zoom_states_the_files_own_error_and_what_tiles_need(
@@ -501,6 +503,7 @@ def test_the_finest_zoom_states_the_files_own_error_and_what_tiles_need(
         assert n_seen == 56 * 56
 
 
+@pytest.mark.full
 def test_finest_tiles_cover_their_square_once_and_agree_on_edges(tmp_path):
     heights = hills(60, 60).astype(np.float32)
     mask = np.full(heights.shape, 255, dtype=np.uint8)

@@ -60,6 +60,7 @@ def test_a_loose_mesh_is_further_off(smooth):
         assert 0.9 < loose.share < 1
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 1, 10])
 @pytest.mark.parametrize(

@@ -209,16 +209,19 @@ def file(request):
     return file_of(request.param)
 
 
+@pytest.mark.few(2)
 def test_stored_errors_are_at_least_the_true_ones(file):
     for block in file.blocks:
         assert file.stored[block] >= file.true_error(block), block
 
 
+@pytest.mark.few(2)
 def test_stored_errors_are_hardly_larger(file):
     for block in file.blocks:
         assert file.stored[block] <= 1.2 * file.true_error(block) + file.quantum, block
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("name", ["whole cdf97 4 1", "holed cdf97 2 3", "edge cdf97 4 1"])
 def test_errors_of_a_faithful_file_are_those_of_the_papers_recursion(name):

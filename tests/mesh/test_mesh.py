@@ -126,14 +126,14 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
 
     monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
     monkeypatch.setattr(cut, "_COARSE_SHARE", share)
-    for seed, shape in ((2, (300, 400)), (5, (385, 289)), (7, (513, 170))):
+    for seed, shape in ((5, (385, 289)), (7, (513, 170))):
         case = make_case(
             "graded", void, shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
             mesh="none", method="predictive",
         )  # fmt: skip
         path = write_case(case, tmp_path)
         with terrainwave.open(path) as terrain:
-            for error, sweeps in ((600, 0), (1500, 1), (4000, 0), (9000, 0), (20000, 2)):
+            for error, sweeps in ((600, 0), (4000, 1), (20000, 2)):
                 for window in (None, (37, 3, 200, 160)):
                     region = Region(*(window or (0, 0, *shape)))
                     mesh = terrain.mesh(window, max_error=error, optimise=sweeps)
@@ -141,6 +141,7 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
     assert max(map(len, levels)) >= (3 if void == "none" else 2)
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
 def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
@@ -248,6 +249,7 @@ def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
         assert report.areas == ()
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("n_most", [64, 300, 700])
 def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
@@ -260,6 +262,7 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
         assert finer.error <= mesh.error
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
 def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
@@ -336,6 +339,7 @@ def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
             terrain.mesh(max_triangles=10**6, max_error=1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
 def test_a_budget_on_a_coarse_level(kind, tmp_path):
@@ -386,6 +390,7 @@ def kernel_meshes():
     return found
 
 
+@pytest.mark.full
 def test_kernels_give_the_same_meshes_as_plain_python():
     code = "import json, sys, test_mesh; json.dump(test_mesh.kernel_meshes(), sys.stdout)"
     environment = os.environ | {
@@ -419,6 +424,7 @@ def with_mesh_code(path, target, block, code):
     return target
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_understated_error_is_found(level, tmp_path):
@@ -468,6 +474,7 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
     case = make_case("noise", "corners", (70, 70), 2, amplitude=900.0, max_error=1, block=32)

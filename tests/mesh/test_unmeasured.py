@@ -45,6 +45,7 @@ def largest_error(terrain, originals, valid, block, mesh):
     return deviation(surface.on_grid(stride), originals, valid, np.inf, at).worst
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", CASES)
 def test_no_original_is_further_than_the_bound_from_meshes_of_files_and_of_views(name, tmp_path):
     case = case_of(name)
@@ -69,6 +70,7 @@ def test_no_original_is_further_than_the_bound_from_meshes_of_files_and_of_views
         assert n_above_the_sum  # own error and tolerance are no bound
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", CASES)
 def test_codes_say_that_coarse_meshes_are_not_measured_and_bound_the_finest(name, tmp_path):
     path = write_case(case_of(name), tmp_path)
@@ -98,6 +100,7 @@ def test_codes_say_that_coarse_meshes_are_not_measured_and_bound_the_finest(name
     assert ("no mesh" in kinds) == (name == "voids")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", CASES)
 def test_the_heights_of_a_file_do_not_depend_on_what_is_measured(name, tmp_path):
     with terrainwave.open(write_case(case_of(name), tmp_path)) as terrain:
@@ -111,6 +114,7 @@ def test_the_heights_of_a_file_do_not_depend_on_what_is_measured(name, tmp_path)
         assert {b: terrain.container.codes(b)[:3] for b in coarse_blocks(terrain)} == boxes
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["ridges", "voids", "tiles"])
 def test_meshes_of_unmeasured_files_pass_verify(name, tmp_path):
     path = write_case(case_of(name), tmp_path)

@@ -8,7 +8,6 @@ import numpy as np
 import pyproj
 import pytest
 import rasterio
-from cases import some
 from place.crs_cases import CASES, N_COLS, N_ROWS, Case, plane
 from quantized_mesh import read_tile
 from twz import twz_bytes
@@ -32,8 +31,17 @@ _STEP_AT = (
 )
 
 
-def of_all(every=3):
-    return pytest.mark.parametrize("case", some(CASES, every), ids=[case.name for case in CASES])
+def of_all(test):
+    return pytest.mark.few(10)(
+        pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)(test)
+    )
+
+
+def of_some(test):
+    """Meshes and frames, of a third: where samples lie is tested of all."""
+    return pytest.mark.few(5)(
+        pytest.mark.parametrize("case", CASES[::3], ids=lambda case: case.name)(test)
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +82,7 @@ def inside(rows, cols, by=0.0):
 # In the raster's own coordinates
 
 
-@of_all()
+@of_all
 def test_heights_are_sampled_where_the_affine_says(case):
     terrain, (rows, cols) = terrain_of(case), _STEP_AT
     found = terrain.sample(np.column_stack(case.xy(rows, cols)))
@@ -84,7 +92,7 @@ def test_heights_are_sampled_where_the_affine_says(case):
     np.testing.assert_allclose(found[strictly], expected[strictly], atol=1e-4)
 
 
-@of_all()
+@of_all
 def test_longitudes_of_any_turn_are_the_same(case):
     terrain, (rows, cols) = terrain_of(case), _STEP_AT
     places = np.column_stack(case.xy(rows, cols))[inside(rows, cols, 1e-6)]
@@ -100,7 +108,7 @@ def test_longitudes_of_any_turn_are_the_same(case):
         np.testing.assert_allclose(terrain.sample(moved), expected, atol=1e-4)
 
 
-@of_all()
+@of_all
 def test_samples_of_a_coarse_level_lie_where_they_lay(case):
     terrain = terrain_of(case)
     heights = terrain.read(level=-2)
@@ -114,7 +122,7 @@ def test_samples_of_a_coarse_level_lie_where_they_lay(case):
 # On the globe
 
 
-@of_all()
+@of_all
 def test_the_globe_is_of_the_right_body(case):
     globe = Globe(terrain_of(case))
     assert globe.body == case.body
@@ -127,7 +135,7 @@ def test_the_globe_is_of_the_right_body(case):
         assert polar == pytest.approx(ellipsoid.semi_minor_metre, abs=1e-3)
 
 
-@of_all()
+@of_all
 def test_samples_lie_at_proj_s_longitudes_and_latitudes(case):
     globe = Globe(terrain_of(case))
     rows, cols = (axis.ravel().astype(float) for axis in np.mgrid[:N_ROWS:8, :N_COLS:8])
@@ -140,7 +148,7 @@ def test_samples_lie_at_proj_s_longitudes_and_latitudes(case):
         np.testing.assert_allclose(back, [rows, cols], atol=_CLOSE)
 
 
-@of_all()
+@of_all
 def test_bounds_hold_all_samples_and_little_else(case):
     globe = Globe(terrain_of(case))
     corners = np.mgrid[-0.5 : N_ROWS - 0.5 : 67j, -0.5 : N_COLS - 0.5 : 83j]
@@ -156,7 +164,7 @@ def test_bounds_hold_all_samples_and_little_else(case):
         assert east - west == pytest.approx(np.ptp(np.mod(lon - west + 180, 360)), rel=0.01)
 
 
-@of_all(every=6)
+@of_some
 def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     from PIL import Image
 
@@ -183,7 +191,7 @@ def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     assert np.abs(found - expected)[within].max() <= 0.05 + 0.01
 
 
-@of_all(every=6)
+@of_some
 def test_cesium_tiles_have_the_heights_of_their_vertices(case):
     globe = Globe(terrain_of(case))
     pyramid = TilePyramid(globe, void_height=globe.height_range[0])
@@ -204,8 +212,13 @@ def test_cesium_tiles_have_the_heights_of_their_vertices(case):
 # Meshes
 
 
+_MESHES = {}
+
+
 def mesh_of(case):
-    return terrain_of(case).mesh(max_error=0.01)
+    if case.name not in _MESHES:
+        _MESHES[case.name] = terrain_of(case).mesh(max_error=0.01)
+    return _MESHES[case.name]
 
 
 def vertices(case, mesh):
@@ -218,14 +231,14 @@ def vertices(case, mesh):
     return rows, cols, z
 
 
-@of_all()
+@of_some
 def test_native_meshes_are_in_the_crs(case):
     rows, cols, heights = vertices(case, to_frame(mesh_of(case), "native"))
     assert inside(rows, cols, -1e-3).all()
     np.testing.assert_allclose(heights, plane(rows, cols), atol=0.02)
 
 
-@of_all()
+@of_some
 def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -242,7 +255,7 @@ def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     assert ((outwards * corners[:, 0]).sum(axis=1) > 0).all()
 
 
-@of_all()
+@of_some
 def test_local_meshes_have_the_earths_distances_and_directions(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -284,7 +297,7 @@ def _stretch_of_the_map(case, middle):
 # The viewer
 
 
-@of_all()
+@of_some
 def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
     terrain = terrain_of(case)
     frame = frame_of(terrain)
@@ -301,7 +314,7 @@ def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
         assert frame.latitudes[0] < frame.latitudes[1]
 
 
-@of_all(every=6)
+@of_some
 def test_a_camera_comes_back_from_its_line(case):
     frame = frame_of(terrain_of(case))
     camera = home(frame.box, Viewport(640, 480))
@@ -356,6 +369,7 @@ def test_a_radius_makes_another_body_of_degrees():
 _OTHER_SPHERES = ("modis_sinusoidal", "rotated_pole_cf", "rotated_pole_south_up")
 
 
+@pytest.mark.full
 def test_a_sphere_taken_for_the_earth_is_told_and_nothing_else_is():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -80,6 +80,7 @@ def test_sampling_needs_no_pyproj(monkeypatch):
     assert around(36, -180.0, GRIB).sample([(175.0, 0.0), (535.0, 0.0)]) == pytest.approx(1225)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("crs", "units", "expected"),
     [

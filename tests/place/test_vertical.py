@@ -394,6 +394,7 @@ def run(*args, **env):
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_the_commands_find_a_user_s_grid_and_say_what_heights_are(tmp_path, grids):
     twz = raster(tmp_path, EGM96, hills())
     env = {"PROJ_DATA": "", "PROJ_USER_WRITABLE_DIRECTORY": str(grids)}
@@ -411,6 +412,7 @@ def test_the_commands_find_a_user_s_grid_and_say_what_heights_are(tmp_path, grid
     assert done.stderr.count("--vertical ellipsoid converts them") == 1
 
 
+@pytest.mark.full
 def test_the_commands_refuse_in_one_line(tmp_path):
     twz = raster(tmp_path, EGM96, hills())
     for args in (

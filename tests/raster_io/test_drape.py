@@ -152,6 +152,7 @@ def test_a_file_that_is_missing_or_damaged_is_named(tmp_path):
         drape(path)
 
 
+@pytest.mark.full
 def test_of_a_large_file_on_a_server_only_what_a_window_needs_is_read(tmp_path):
     path, side = tmp_path / "a.tif", 4096
     bands = noise(3, side, side)

@@ -36,6 +36,7 @@ def read_all(source):
     return source.read(0, 0, source.info.n_rows, source.info.n_cols)
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("dtype", SUPPORTED_DTYPES)
 @pytest.mark.parametrize("nodata", [None, 7])
 @pytest.mark.parametrize("n_bands", [1, 2, 3])
@@ -47,6 +48,7 @@ def test_alpha_of_0_is_void_in_every_type(tmp_path, dtype, nodata, n_bands):
         assert read_all(source)[1].tolist() == [[True, False, nodata is None, True]]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("dtype", SUPPORTED_DTYPES)
 @pytest.mark.parametrize("nodata", [None, 0])
 def test_voids_of_an_alpha_band_come_back(tmp_path, dtype, nodata):

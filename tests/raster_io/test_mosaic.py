@@ -312,6 +312,7 @@ def test_few_files_are_open_at_a_time(four_tiles, monkeypatch):
         assert len(source._backend._open) == 2
 
 
+@pytest.mark.full
 def test_each_file_is_opened_once_more_for_a_scan_and_few_at_a_time(tmp_path, monkeypatch):
     names = [
         tile(tmp_path / f"{row}_{col}.tif", terrain_like(16, 16), row, col)

@@ -71,6 +71,7 @@ def file_names(folder):
 # --- round trips -------------------------------------------------------------------------------
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("dtype", RASTER_DTYPES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (530, 1030)])
 def test_each_dtype_and_shape_comes_back(tmp_path, dtype, shape):
@@ -118,6 +119,7 @@ def test_any_heights_and_voids_come_back(tmp_path_factory, data):
         np.testing.assert_array_equal(gdal_valid, valid)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     "transform",
     [
@@ -749,6 +751,7 @@ except StorageError as error:
 """
 
 
+@pytest.mark.few(2)
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on file sizes to set")
 @pytest.mark.parametrize(
     ("missing", "kind", "threads", "side"),
@@ -857,6 +860,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start) // 1024)
 """
 
 
+@pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit or is missing")
 def test_memory_stays_flat_on_a_raster_of_256_megabytes(tmp_path):
     run = subprocess.run(

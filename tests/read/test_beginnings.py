@@ -40,6 +40,7 @@ def _data(request):
     return twz_bytes(heights, **{"max_error": 2, "method": "rapid", "block": 32} | options)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_window_of_any_level_that_ends_anywhere_is_that_part_of_the_level(data, threads):
     rng = np.random.default_rng(1)
@@ -108,6 +109,7 @@ def test_a_window_of_whole_units_decodes_each_unit_once(decoded):
         assert len(places) == len({tuple(place) for place in places})
 
 
+@pytest.mark.full
 def test_units_that_leave_the_cache_after_the_plan_are_decoded_as_their_children_need():
     """Other threads put theirs in the place of units that were at hand."""
     rng = np.random.default_rng(3)

@@ -44,6 +44,7 @@ def cut(path, n_bytes):
     return part
 
 
+@pytest.mark.few(1)
 def test_a_plain_open_refuses_a_file_that_ends_too_early(whole):
     n_bytes = whole.stat().st_size
     part = cut(whole, n_bytes - 1)
@@ -51,6 +52,7 @@ def test_a_plain_open_refuses_a_file_that_ends_too_early(whole):
         terrainwave.open(part)
 
 
+@pytest.mark.few(1)
 def test_what_is_there_is_given_and_nothing_else(whole):
     """At 50 places: each unit whose payload, and those above it, are whole; as they were."""
     n_bytes = whole.stat().st_size
@@ -173,6 +175,7 @@ def test_decompress_names_what_is_lost(whole, tmp_path):
         assert np.array_equal(raster.read(1)[valid], heights[valid])
 
 
+@pytest.mark.few(1)
 def test_json_has_what_is_lost(whole, tmp_path):
     run, target = CliRunner().invoke, str(tmp_path / "a.tif")
     options = ["--on-error", "mask", "--json"]

@@ -187,6 +187,7 @@ def drawn_samples(scene, frames, heights):
         )  # fmt: skip
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("orientation", [False, True])
 def test_no_original_in_view_is_further_than_tau_from_the_surface(

@@ -65,6 +65,7 @@ def seen_from_the_side(canvas):
     return home(canvas.scene.frame.solid_box, canvas.viewport)
 
 
+@pytest.mark.few(4)
 @pytest.mark.gl
 @pytest.mark.large
 @pytest.mark.parametrize("mode", ALL)

@@ -215,6 +215,7 @@ def seen_from_above(context, heights, affine):
     return image.astype(float)[10:-10, 10:-10]
 
 
+@pytest.mark.few(2)
 @pytest.mark.gl
 @pytest.mark.large
 @pytest.mark.parametrize("turn", _TURNED)

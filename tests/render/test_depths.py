@@ -41,6 +41,7 @@ def picture(terrain, style, context, **options):
         return canvas.picture(camera, style, max_pixel_error=tau)[0], frame.box, camera
 
 
+@pytest.mark.few(2)
 @pytest.mark.gl
 @pytest.mark.large
 @pytest.mark.parametrize(

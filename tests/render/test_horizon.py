@@ -47,6 +47,7 @@ def are_hidden(frame, camera, points):
     return (way[..., 2] < ground).any(axis=0)
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("mode", ["adaptive", "batched", "loose"])
 def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
@@ -76,6 +77,7 @@ def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
     assert n_wanted < 0.9 * n_wanted_all
 
 
+@pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
 @pytest.mark.usefixtures("no_gl_errors")
@@ -102,6 +104,7 @@ def settled(mountains, **options):
     return scene, scene.view(low_cameras(scene.frame, 9)[8], VIEWPORT, 1.0)
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_where_a_parent_stands_in_for_what_hides_nothing_is_left_out(mountains):
     scene, view = settled(mountains)
@@ -123,6 +126,7 @@ def test_where_a_parent_stands_in_for_what_hides_nothing_is_left_out(mountains):
         assert sorted(again.nodes) == sorted(free.nodes)
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize(
     ("move", "options"),

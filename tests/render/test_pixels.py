@@ -44,6 +44,7 @@ def random_camera(rng, frame):
     return Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("tau", some([6.0, 1.0], 2))
 def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau):
@@ -68,6 +69,7 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau)
     assert len(n_levels) > (2 if mode == "adaptive" else 1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_no_gap_shows_while_paging(context, rough, mode):
     """Blocks of all levels side by side, parents standing in: still no gap."""
@@ -142,6 +144,7 @@ def waves(rows, cols):
     return heights, east, north
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("exaggeration", [1.0, 2.5])
 def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exaggeration):
@@ -218,6 +221,7 @@ def test_a_picture_of_an_impossible_size_leaves_no_threads(context, rough):
     assert threading.active_count() == before
 
 
+@pytest.mark.full
 def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
     with Canvas(rough, SIZE, context=context, max_bytes=64 << 20) as canvas:
         rng = np.random.default_rng(2)
@@ -228,6 +232,7 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
         assert max(sizes) <= 64 << 20
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "coloring", ["auto", "relative", "ramp", "slope", "textured", "level", "error", "plain"]
 )

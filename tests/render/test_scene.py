@@ -57,6 +57,7 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", [
     {}, {"error": "paper"}, {"mode": "loose"}, {"orientation": True, "exaggeration": 3.0},
 ])  # fmt: skip
@@ -96,6 +97,7 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert (worst > 1.1) == (options.get("mode") == "loose")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_a_flat_raster_is_shown_by_a_sample_for_each_pixel_and_within_tau(mode):
     heights = np.round(hills(600, 800, 5, 8.0)).astype(np.int16)
@@ -195,6 +197,7 @@ def test_boxes_of_pieces_reach_as_far_as_their_errors_once_these_are_known():
             assert table.high[node, 2] >= high + table.errors[node] - 1e-6
 
 
+@pytest.mark.few(2)
 def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
     """error + share · distance to the parent's surface <= τ / pixels per metre, for each block."""
     _, _, terrain = original_and_terrain
@@ -215,6 +218,7 @@ def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
     assert n_limited > 0
 
 
+@pytest.mark.few(3)
 def test_what_is_drawn_covers_every_valid_cell_in_view_once(original_and_terrain):
     heights, valid, terrain = original_and_terrain
     whole = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
@@ -273,6 +277,7 @@ def test_slopes_are_those_of_a_plane():
                 np.testing.assert_allclose(slopes[..., 1], 0.2, atol=2e-3)
 
 
+@pytest.mark.few(3)
 def test_skirts_reach_the_neighbours_surface(original_and_terrain):
     """Where two drawn patches share samples, the upper one's skirt covers the step."""
     heights, _, terrain = original_and_terrain
@@ -298,6 +303,7 @@ def test_skirts_reach_the_neighbours_surface(original_and_terrain):
     assert n_shared > 10
 
 
+@pytest.mark.full
 def test_memory_keeps_to_its_limit_on_a_flight_and_parents_stand_in():
     heights = np.round(hills(300, 300, 7)).astype(np.int16)
     store = ListStore(max_blocks=30)
@@ -440,6 +446,7 @@ def test_all_finest_blocks_in_view_come_in_parts_that_fit():
         assert not store.patches
 
 
+@pytest.mark.full
 def test_a_long_flight_keeps_few_pieces_known_and_draws_the_same(monkeypatch):
     heights = np.round(hills(1200, 1600, 5)).astype(np.int16)
     viewport, n_known, n_drawn = Viewport(200, 140), [], 0

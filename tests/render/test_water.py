@@ -182,6 +182,7 @@ def test_what_is_no_sea_level_is_refused(tmp_path, sea):
         publish_site([], tmp_path / "site", sea_level=sea)
 
 
+@pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
 def test_pictures_show_water_where_it_is(context):

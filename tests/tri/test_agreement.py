@@ -86,6 +86,7 @@ class Level:
 KINDS = ["zerotree", "rqt", "rqt by coefficients"]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", KINDS)
 @given(terrain=slow.terrains(max_side=42, min_side=2), block=st.sampled_from([4, 8, 16]))
 def test_blocks_of_a_level_join_without_a_crack(kind, terrain, block):

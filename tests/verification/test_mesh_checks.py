@@ -65,7 +65,7 @@ def test_the_full_grid_is_fine(mask):
 
 
 @given(masks)
-def testcharacteristic_is_parts_less_holes(mask):
+def test_characteristic_is_parts_less_holes(mask):
     """Beside scipy's labels of an image of all corners, edges and faces."""
     pieces = pieces_of_mask(mask)
     n_rows, n_cols = mask.shape

@@ -362,6 +362,7 @@ def test_the_sign_of_zero_counts_only_where_every_bit_was_promised(compare, meth
     assert "row 0, column 1" in problem
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
 @pytest.mark.parametrize("flips", [(True, False), (False, True), (True, True)])
 def test_a_copy_in_another_order_of_rows_and_columns_is_turned(tmp_path, flips, layout):
@@ -415,6 +416,7 @@ def verified_part(folder, *args, **profile):
     return verify(folder / "a.twz", part_raster(folder, *args, **profile), part=True)
 
 
+@pytest.mark.few(1)
 def test_a_part_is_compared_where_it_was_patched(patched, tmp_path):
     report = verified_part(tmp_path, patched)
     assert report.ok, report.problems
@@ -444,6 +446,7 @@ def test_a_part_in_another_order_of_rows_is_turned(patched, tmp_path, layout):
     assert not verified_part(tmp_path, patched, turned, **layout).ok
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     "transform",
     [

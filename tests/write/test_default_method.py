@@ -30,6 +30,7 @@ def noise():
     return np.random.default_rng(3).normal(0, 300, SHAPE).astype(np.int16)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("heights", [smooth, roofs, noise])
 @pytest.mark.parametrize(
     ("effort", "method"), [("fast", "rapid"), ("default", "rapid"), ("best", "predictive")]

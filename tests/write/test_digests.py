@@ -34,6 +34,7 @@ def digest_of(path):
         return terrain.digest()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "options",
     [
@@ -72,12 +73,13 @@ def test_a_files_digests_are_those_of_what_it_decodes_to(tmp_path, dtype):
         assert terrain.digest() == found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("height", [0, 7], ids=["0", "7"])
 @pytest.mark.parametrize("max_error", [0, 3])
 def test_sea_has_the_digests_of_its_heights(tmp_path, height, max_error):
     # Segments of blocks of 32 have 512 samples a side: those of sea are proved by their bytes.
-    heights = np.full((2600, 2600), height, np.int16)
-    heights[:500, :500] = terrain_like(500, 500, seed=4)
+    heights = np.full((1700, 1700), height, np.int16)
+    heights[:300, :300] = terrain_like(300, 300, seed=4)
     source = write_geotiff(tmp_path / "dem.tif", heights, tiled=True, blockxsize=64, blockysize=64)
     tw.compress(source, tmp_path / "a.twz", **OPTIONS | {"max_error": max_error})
     with tw.open(tmp_path / "a.twz") as terrain:
@@ -92,7 +94,7 @@ def twz_section(decoded, valid):
     from terrainwave.grid.quadtree import Region
 
     tiles, whole = TileDigests(decoded.shape), Region(0, 0, *decoded.shape)
-    for window in whole.tiles(1536, 512):
+    for window in whole.tiles(1024, 512):
         part = window.slices_in(whole)
         tiles.add(tile_digests(window, decoded[part], valid[part]))
     return tiles.tree().pack()
@@ -133,6 +135,7 @@ def changed_part(tmp_path, raster):
     return write_geotiff(tmp_path / "part.tif", part, nodata=NODATA, units=("m",), **profile)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("max_error", [0, 4])
 def test_a_patch_makes_the_digests_anew(tmp_path, raster, max_error):
     path, part = patched(tmp_path, raster, max_error=max_error, height_range=(-1000, 9000))
@@ -145,6 +148,7 @@ def test_a_patch_makes_the_digests_anew(tmp_path, raster, max_error):
     )
 
 
+@pytest.mark.full
 def test_a_patch_adds_no_digests(tmp_path, raster):
     path, part = patched(tmp_path, raster, digest=False, height_range=(-1000, 9000))
     tw.patch(path, part)
@@ -156,6 +160,7 @@ def digest_of_none(path):
         return terrain.digest() is None
 
 
+@pytest.mark.full
 def test_a_patch_refuses_digests_that_are_not_those_of_heights_beyond_it(tmp_path):
     heights = terrain_like(4, 4200, seed=2)
     source = write_geotiff(tmp_path / "dem.tif", heights, units=("m",))
@@ -175,12 +180,14 @@ def test_a_patch_refuses_digests_that_are_not_those_of_heights_beyond_it(tmp_pat
     assert path.read_bytes() == found
 
 
+@pytest.mark.full
 def test_stored_meshes_leave_digests_as_they_are(tmp_path, raster):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
     store_meshes(tmp_path / "a.twz", tmp_path / "b.twz", mesh="rqt")
     assert digest_of(tmp_path / "b.twz") == digest_of(tmp_path / "a.twz")
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("block", [32, 1024])
 def test_the_root_is_checked_in_blocks_of_any_size(tmp_path, raster, block):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS | {"block": block, "digest": False})
@@ -221,6 +228,7 @@ def test_heights_with_digests_of_their_own_are_found_by_the_root_only(tmp_path):
     assert problem.endswith(f"expected {root}")
 
 
+@pytest.mark.full
 def test_another_place_is_found_by_the_root(tmp_path, raster):
     tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
     root = digest_of(tmp_path / "a.twz")

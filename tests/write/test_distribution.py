@@ -61,6 +61,7 @@ def both(tmp_path, cluster, name, **options):
     return here.read_bytes(), there.read_bytes()
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize("name", some(RASTERS, 2))
 def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
@@ -68,6 +69,7 @@ def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
     assert there == here
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize(
     "mesh", some(["halves", "none", "zerotree-plain", "zerotree-layer", "rqt"], 2)
@@ -77,6 +79,7 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
     assert there == here
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("name", ["voids", "strip"])
 def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
@@ -84,6 +87,7 @@ def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
     assert there == here
 
 
+@pytest.mark.few(2)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store"])
 def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
@@ -175,6 +179,7 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
     assert [path.name for path in tmp_path.iterdir()] == ["dem.tif"]
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("more", [{}, {"measure_meshes": True}, {"mesh": "rqt"}])
 def test_a_depot_may_be_a_url(tmp_path, cluster, monkeypatch, more):

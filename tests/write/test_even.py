@@ -130,6 +130,7 @@ def test_even_regions_are_what_is_read(tiles, name, monkeypatch):
     assert np.array_equal(again[1], valid)
 
 
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
 @pytest.mark.parametrize(
     ("name", "options"),
@@ -152,6 +153,7 @@ def test_files_are_the_same_whether_a_source_knows_its_voids_or_not(
     assert (tmp_path / "known.twz").read_bytes() == (tmp_path / "read.twz").read_bytes()
 
 
+@pytest.mark.full
 def test_voids_that_a_source_knows_are_never_read(tiles, tmp_path, monkeypatch):
     n_read = 0
     read = RasterSource.read
@@ -341,6 +343,7 @@ def test_sea_of_another_height_is_found_by_the_proof(sea, higher):
         )
 
 
+@pytest.mark.full
 def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
     tw.compress(higher, tmp_path / "a.twz", block=32)
     with tw.open(tmp_path / "a.twz") as terrain:
@@ -358,6 +361,7 @@ def test_what_payloads_tell_of_units_is_what_they_decode_to(higher, tmp_path):
         assert {height + terrain.header.base for height in finest} == {0, 5}
 
 
+@pytest.mark.full
 def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch):
     monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
     monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
@@ -409,6 +413,7 @@ def test_verify_reads_samples_of_voids_that_both_files_know(tiles, tmp_path, nam
     assert shapes.count((1, 1)) >= 5
 
 
+@pytest.mark.full
 def test_verify_finds_heights_where_the_original_knows_a_void(tiles, tmp_path):
     sources = sources_of(tiles)
     tw.compress(sources["sea"], tmp_path / "a.twz")
@@ -429,6 +434,7 @@ def test_verify_does_not_believe_an_index_that_is_wrong(tiles, monkeypatch):
         assert all(known is None for _, known in raster.windows())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("max_error", [0, 3])
 def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
     sea, tmp_path, monkeypatch, max_error
@@ -455,6 +461,7 @@ def test_verify_reads_one_sample_of_sea_that_decodes_to_one_height(
     assert report.errors.rmse == pytest.approx(plain.errors.rmse)
 
 
+@pytest.mark.full
 def test_verify_finds_sea_of_another_height(sea, higher, monkeypatch):
     monkeypatch.setattr(original, "_WINDOW_SIDE", 128)
     report = tw.verify(sea[1], higher)
@@ -521,6 +528,7 @@ def test_nodata_that_gdal_takes_for_equal_is_in_doubt(tmp_path):
     assert (heights == 0).all()
 
 
+@pytest.mark.full
 def test_a_raster_that_is_coded_twice_has_the_smaller_result():
     """Noise, of which a method makes more than the raster itself: `store` is tried, too."""
     heights = np.random.default_rng(0).integers(0, 34500, (1100, 1100)).astype(np.uint16)
@@ -558,6 +566,7 @@ def test_room_on_the_disk_is_asked_for_what_may_not_be_even(tmp_path, monkeypatc
             check_free_space(source, tmp_path)
 
 
+@pytest.mark.full
 def test_finished_units_take_little_memory(tmp_path):
     """Segments that are stored, and subtrees in the journal of a run: at most 64 bytes a unit."""
     grid = Grid(1 << 16, 1 << 16, 256)
@@ -597,12 +606,16 @@ def is_below(key, block):
     return (key.row >> depth, key.col >> depth) == (block.row, block.col)
 
 
+@pytest.mark.full
 def test_checking_bytes_keeps_no_page_of_a_finest_segment(sea, monkeypatch):
-    n_kept = []
+    n_kept, n_checked = [], 0
     check = Container._check_payloads
 
     def counted(self, segment):
-        n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
+        nonlocal n_checked
+        if n_checked % 8 == 0:  # to count takes long
+            n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
+        n_checked += 1
         return check(self, segment)
 
     monkeypatch.setattr(Container, "_check_payloads", counted)

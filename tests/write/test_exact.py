@@ -72,6 +72,7 @@ def test_signs_of_zero_are_kept_where_losslessness_is_the_default_too():
         assert not terrain.header.features & HAS_REMAINDERS
 
 
+@pytest.mark.full
 def test_negative_zeros_in_one_window_of_many_are_found(tmp_path):
     heights = terrain_like(600, 2000).astype("float32") + 5
     heights[599, 1999] = -0.0

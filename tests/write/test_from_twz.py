@@ -29,6 +29,7 @@ def made(source, path, max_error=None, **options):
     return terrainwave.compress(source, path, max_error=max_error, overwrite=True, **options)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("method", ["store", "rapid", "predictive", "cdf97", "cdf53"])
 @pytest.mark.parametrize("bound", [2, 3, 7.5])
 def test_a_coarser_file_is_within_what_is_asked_of_the_original(tmp_path, original, method, bound):
@@ -177,6 +178,7 @@ def test_a_bound_that_no_file_can_state_names_the_next(tmp_path):
     assert result.effective_error <= before
 
 
+@pytest.mark.full
 def test_any_bound_of_small_heights_is_settled(tmp_path):
     """Quanta of many digits: the bound that is left differs from the one before in the last one."""
     rng = np.random.default_rng(0)

@@ -52,6 +52,7 @@ def _found(**variables: str) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
+@pytest.mark.full
 def test_a_worker_keeps_what_tasks_free_until_it_is_idle():
     without, within, again, kept, later, after = _found(MALLOC_TRIM_THRESHOLD_="65536")
     assert within < without / 10
@@ -61,6 +62,7 @@ def test_a_worker_keeps_what_tasks_free_until_it_is_idle():
     assert after > without / 2
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("variables", [{}, {"MALLOC_TRIM_THRESHOLD_": str(1 << 30)}])
 def test_other_processes_are_left_alone(variables):
     without, within, *_ = _found(**variables)

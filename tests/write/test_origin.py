@@ -69,6 +69,7 @@ def test_other_options_are_seen_without_reading(tmp_path, raster, other):
     assert found == "it was made with other options"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("options", [{"rate": 2.0}, {"psnr": 50.0}, {"max_error": 0.25}])
 def test_cut_files_are_known_again(tmp_path, raster, options):
     options = grouped({"method": "cdf53", "mesh": "none"} | options)

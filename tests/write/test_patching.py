@@ -65,6 +65,7 @@ def copied_units(before, after):
         return {key for key in keys if old.payload(key) == new.payload(key)}, set(keys)
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize(
     "options",
@@ -82,6 +83,7 @@ def test_a_lossless_file_becomes_that_of_the_new_raster(file, options):
     assert (result.n_recoded, result.n_copied) == (5, 5)
 
 
+@pytest.mark.few(1)
 @pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 3])
@@ -257,6 +259,7 @@ def moved(tmp_path):
     return tmp_path / "dem.twz"
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, tmp_path):
     path, new = moved, HEIGHTS

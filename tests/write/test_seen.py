@@ -54,6 +54,7 @@ def patchy(dtype, seed):
     return heights, valid
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("dtype", ["int16", "uint8", "float32", "float64"])
 @pytest.mark.parametrize("seed", range(8))
 def test_what_is_said_of_a_region_is_what_all_its_samples_are(dtype, seed):
@@ -125,19 +126,19 @@ def test_parts_that_an_index_tells_are_put_together_with_those_that_are_read():
 def sea_or_void(kind, tmp_path):
     """Write a raster that is mostly sea, or void, with bytes for each block; return its path."""
     is_float = kind.endswith("float")
-    heights = np.zeros((900, 1000), dtype=np.float32 if is_float else np.int16)
-    ground = terrain_like(260, 300, dtype="int16", seed=4)
-    heights[300:560, 100:400] = ground
-    heights[700:760, 800:880] = ground[:60, :80] + 30
+    heights = np.zeros((600, 700), dtype=np.float32 if is_float else np.int16)
+    ground = terrain_like(130, 150, dtype="int16", seed=4)
+    heights[150:280, 50:200] = ground
+    heights[500:530, 600:640] = ground[:30, :40] + 30
     nodata = None
     if kind.startswith("void"):
         nodata = np.nan if is_float else VOID
         heights[heights == 0] = nodata
     elif is_float:
-        heights[600:, :500] *= -1  # a sea of -0.0 beside one of 0.0
+        heights[400:, :350] *= -1  # a sea of -0.0 beside one of 0.0
     path = tmp_path / f"{kind}.tif"
     with rasterio.open(
-        path, "w", driver="GTiff", width=1000, height=900, count=1, dtype=heights.dtype,
+        path, "w", driver="GTiff", width=700, height=600, count=1, dtype=heights.dtype,
         nodata=nodata, tiled=True, blockxsize=64, blockysize=64, crs="EPSG:32633",
         transform=rasterio.Affine(30, 0, 5e5, 0, -30, 5e6),
     ) as dataset:  # fmt: skip
@@ -147,6 +148,7 @@ def sea_or_void(kind, tmp_path):
     return path
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["sea", "void", "sea of float", "void of float"])
 @pytest.mark.parametrize(
     ("method", "max_error", "mesh"),

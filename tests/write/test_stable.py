@@ -30,6 +30,7 @@ def heights_of(dtype):
     return heights
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", some(["rapid", "predictive", "store", "cdf97"], 2))
 @pytest.mark.parametrize(
     ("dtype", "max_error"), [("float32", 0.1), ("float64", 3), ("int16", 2), ("int32", 5.5)]
