@@ -41,7 +41,9 @@ from terrainwave.grid.quadtree import Grid
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
+from terrainwave.raster_io.files import stamps_of
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
 from terrainwave.tri.mesh_options import MeshOptions
 from terrainwave.write.cluster import (
@@ -56,6 +58,7 @@ from terrainwave.write.job import Job, fixed_steps, settled
 from terrainwave.write.local import Coded, LocalPasses, smaller
 from terrainwave.write.passes.bench import AskedRaster, Bench
 from terrainwave.write.passes.resuming import run_directory, taken_up
+from terrainwave.write.passes.windows import changed
 from terrainwave.write.tasks.workers import Workers
 
 _log = logging.getLogger(__name__)
@@ -223,7 +226,8 @@ def compress(
     BoundViolationError
         If the proof fails; `dst` is untouched.
     StorageError
-        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
+        If something cannot be read or written, `dst` is `src`, or `src` changes while it is read;
+        `dst` is untouched.
     ClusterError
         If workers were lost more often than the cluster allows; `dst` is untouched.
 
@@ -271,8 +275,12 @@ def compress(
         Crew(options.n_threads) as crew,
     ):
         bench = Bench(source, directory, crew, reporter, kept)
+        # Small ones are read once.
+        stamps = stamps_of(src) if source.info.n_bytes > MEMORY_LIMIT else None
         with closing(_passes(bench, options, cluster)) as passes:
             result, marks = _write(part.file, part.path, name, options, passes)
+        if stamps is not None and stamps_of(src) != stamps:
+            raise changed(source.name)
     _warn_of(marks)
     return result
 

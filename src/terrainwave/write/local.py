@@ -143,10 +143,15 @@ class LocalPasses:
         ------
         BoundViolationError
             If a sample is further than the bound from the original, or valid where that is void.
+        StorageError
+            If that is because the raster has changed.
         """
         grid, count = job.grid, self.bench.counter("proving")
         proof = Proof((grid.n_rows, grid.n_cols))
-        with comparison_of(path, job, self.windows, count) as comparison:
+        with (
+            self.windows.unchanged(),
+            comparison_of(path, job, self.windows, count) as comparison,
+        ):
             proof.compare(path, comparison.shares(self.windows), comparison.all, self.bench)
         count(grid.n_rows * grid.n_cols)  # voids, and what an earlier run has compared
         return measured_error(proof.largest, job.quantizer), proof.tiles

@@ -3,16 +3,18 @@
 import shutil
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import count_of, size_of
 from terrainwave.container.targets.kept import Kept
-from terrainwave.errors import StorageError
+from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Region
@@ -51,6 +53,8 @@ class Windows(SourceWindows):
         if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
             path = kept.path("heights")
             self._heights = Spool(self._shape, source.info.dtype, directory, path=path)
+        # Of windows that later passes read again; not of those that an earlier run has scanned.
+        self._checksums: dict[Region, int] = {}
         self._kept = kept
         self._seen = SeenTiles(self._shape, source.info.dtype, kept.path(_SEEN))
         self._lock = threading.Lock()
@@ -105,11 +109,34 @@ class Windows(SourceWindows):
             return region, even
         heights, valid = self._source.read(*region)
         self._seen.note(region, heights, valid)
-        if self._heights is not None:
+        if self._heights is None:
+            self._checksums[region] = _checksum(heights, valid)
+        else:
             self._heights.write(region, heights)
             if self._valid is not None or not valid.all():
                 self._valid_spool().write(region, valid)
         return heights, valid, region.row, region.col
+
+    @contextmanager
+    def unchanged(self) -> Iterator[None]:
+        """Say that the raster has changed, if that is why a pass over it failed.
+
+        Raises
+        ------
+        StorageError
+            If a window no longer has the heights that it was scanned with.
+        """
+        try:
+            yield
+        except TerrainwaveError as error:
+            for region, checksum in self._checksums.items():
+                if _checksum(*self._source.read(*region)) != checksum:
+                    raise changed(
+                        self._source.name,
+                        f" in {region.n_rows} x {region.n_cols}"
+                        f" samples from row {region.row}, column {region.col}",
+                    ) from error
+            raise
 
     def _keep_even(self, region: Region, even: Even) -> None:
         self._seen.note_even(region, even)
@@ -193,6 +220,18 @@ def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
     for part in region.tiles(_SIDE, _SIDE):
         heights = even.heights(part.shape, np.dtype(scan.dtype))
         scan.update(heights, np.full(part.shape, even.is_valid), part.row, part.col)
+
+
+def _checksum(heights: NDArray[Any], valid: NDArray[np.bool_]) -> int:
+    return crc32(np.packbits(valid).data, crc32(np.where(valid, heights, 0).data))
+
+
+def changed(name: str, where: str = "") -> StorageError:
+    """Return the error for a raster whose heights are not those that were scanned."""
+    return StorageError(
+        f"{name} changed{where} while it was compressed; expected a raster that stays as it is:"
+        " compress a copy, or when it is finished. Nothing was written"
+    )
 
 
 def check_free_space(source: RasterSource, directory: Path, n_there: int = 0) -> None:
