@@ -7,6 +7,7 @@
 #include "encode.h"
 #include "encode_measure.h"
 #include "encode_pyramid.h"
+#include "encode_tables.h"
 #include "internal.h"
 
 TWZ_API const char *twz_python_sources(void);
@@ -20,6 +21,7 @@ TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
 TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
 TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 TWZ_API twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+TWZ_API twz_status twz_python_code_tables(tables_job *job, twz_error *error);
 TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                                        uint32_t *states, uint8_t *words);
@@ -178,6 +180,7 @@ twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, 
   return decode_lone(encoder, tables, job, error);
 }
 
+twz_status twz_python_code_tables(tables_job *job, twz_error *error) { return code_tables(job, error); }
 twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_mask(encoder, job, error); }
 
 uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,

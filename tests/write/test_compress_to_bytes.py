@@ -18,15 +18,15 @@ def test_bytes_are_those_of_the_file(tmp_path):
 
 
 def test_bytes_are_proved_like_a_file(monkeypatch):
-    from terrainwave.write import local as local_passes
+    from terrainwave.write.local import LocalPasses
 
     proved = []
 
-    def prove(file, *rest):
+    def prove(_, file, *rest):
         proved.append(file)
         return 0.0, TileDigests((9, 9))
 
-    monkeypatch.setattr(local_passes, "prove", prove)
+    monkeypatch.setattr(LocalPasses, "prove", prove)
     data = terrainwave.compress_to_bytes(terrain_like(9, 9))
     assert proved == [data]
 

@@ -43,6 +43,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "twz_python_encode": (POINTER, POINTER, POINTER),
     "twz_python_decode": (POINTER, POINTER, POINTER),
     "twz_python_encode_mask": (POINTER, POINTER),
+    "twz_python_code_tables": (POINTER,),
 }
 
 

@@ -1,7 +1,7 @@
 """Tables that a file brings along, and their bytes (format-rapid.md, R.10 and R.11)."""
 
 from functools import cache, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from terrainwave.codec.rapid.symbols import (
 )
 from terrainwave.codec.rapid.tables import Tables
 from terrainwave.coding.jit import kernel, rare_kernel
+from terrainwave.coding.native_library import also_in_c
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
@@ -348,7 +349,7 @@ def pack_file_tables(file: FileTables) -> bytes:
         numbers.is_own[table], numbers.codes[table] = 1, codes
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
-    _code_tables(coder, *numbers, *_known(file.family))
+    code_tables(coder, *numbers, *_known(file.family))
     return head + out[: finish_encoder(coder.state, out)].tobytes()
 
 
@@ -371,9 +372,10 @@ def parse_file_tables(section: bytes, step: int) -> FileTables:
         return plain_tables(k_max, family)
     numbers = _new_numbers()
     coder = new_decoder(section[1:], new_models(_N_MODELS))
-    status, which = _code_tables(coder, *numbers, *_known(family))
+    status, which = code_tables(coder, *numbers, *_known(family))
     if status == _BAD_STENCIL:
-        raise CorruptStreamError(f"a stencil of plane {which} has a weight beyond {MAX_WEIGHT}")
+        plane = PLANES[which]
+        raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond {MAX_WEIGHT}")
     if status == _BAD_WEIGHT:
         raise CorruptStreamError("a weight of what details are expected to be has no code")
     if status == _BAD_CUT:
@@ -410,6 +412,13 @@ def tables_of(section: bytes, step: int) -> Tables:
     return tables_from(parse_file_tables(section, step))
 
 
+@also_in_c("terrainwave.codec.rapid.tables_in_c")
+def code_tables(*arguments: Any) -> tuple[int, int]:
+    """Code the numbers of a stream in place; return what is wrong with them, and where."""
+    found: tuple[int, int] = _code_tables(*arguments)
+    return found
+
+
 @rare_kernel
 def _code_tables(
     coder, stencils, weights, cut, is_own, codes, tap_kinds, skipped, trained_weights, n_symbols,
@@ -430,7 +439,7 @@ def _code_tables(
             delta = own[_DELTAS + tap]
             size = code_magnitude(coder, first, first + N_UNARY, np.int64(0), abs(delta))
             if size > 2 * MAX_WEIGHT:
-                return _BAD_STENCIL, np.int64(plane + HH)
+                return _BAD_STENCIL, np.int64(plane)
             is_less = np.int64(0)
             if size > 0:
                 is_less = code_raw(coder, np.int64(1), np.int64(delta < 0))
