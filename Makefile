@@ -137,9 +137,8 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
-# One worker more: browsers, servers and windows are waited for.
 test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy tests/ext/node_modules/.installed
-	@$(call with_cache,compiled) $(COMPILED) -n $$(($(WORKERS) + 1)) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
+	@$(call with_cache,compiled) $(COMPILED) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 # Less optimised: compiled in three quarters of the time, and the bounds are the same.
 test-bounds: $(VENV)/.installed-dev system

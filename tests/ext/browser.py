@@ -22,7 +22,7 @@ ARGUMENTS = (
     "--window-size=800,600", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 )  # fmt: skip
-PATIENCE = 120  # seconds: WebGL runs on the processor, and machines are shared
+PATIENCE = 240  # seconds: WebGL runs on the processor, and machines are shared
 
 
 @contextlib.contextmanager
