@@ -1,8 +1,8 @@
 """Processor time of first commands, with an empty cache of kernels: ``python -m benchmarks.cold``.
 
 Each run is a process of its own, its whole time counted: starting, importing, compiling, working.
-"warm" is the same command once more, with what the first one compiled. With the native library and
-without, in turns; ``--package`` measures another checkout, too, ``--python`` another environment.
+"warm" is the same command once more, with what the first one compiled. ``--package`` measures
+another checkout beside this one, in turns; ``--python`` another environment.
 """
 
 import json
@@ -18,11 +18,10 @@ from pathlib import Path
 import click
 
 from benchmarks import common
-from terrainwave.coding import native_library
 
-# Seconds of user and system time, medians. `state` is the way and whether its cache is "empty" or
-# "warm"; `kernels` were compiled and kept.
-Row = namedtuple("Row", "raster command state n_runs cpu_seconds least most kernels")
+# Seconds of user and system time, medians. `state` is the package and whether its cache is "empty"
+# or "warm".
+Row = namedtuple("Row", "raster command state n_runs cpu_seconds least most")
 READ = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read()"
 COMMANDS = ("read", "compress", "compress rapid, bare", "verify")
 
@@ -49,37 +48,29 @@ def seconds_of(python: str, source: Path, arguments: list[str], cache: Path) -> 
     return after.children_user + after.children_system - before[2] - before[3]
 
 
-def measure(
-    paths, ways: dict[str, tuple[Path, str]], python: str, n_runs: int, folder
-) -> Iterator[Row]:
-    """Yield the rows of each raster and command.
-
-    A way is a folder of sources, and whether its library is used.
-    """
+def measure(paths, packages: dict[str, Path], python: str, n_runs: int, folder) -> Iterator[Row]:
+    """Yield the rows of each raster and command."""
     for raster in paths:
         file = folder / f"{raster.stem}.twz"
-        first, _ = next(iter(ways.values()))
+        first = next(iter(packages.values()))
         seconds_of(
             python, first,
             ["-c", common.CLI, "compress", str(raster), str(file), "--max-error", "1", "--quiet"],
             folder / "made",
         )  # fmt: skip
         for command in COMMANDS:
-            found = {(name, cache): [] for name in ways for cache in ("empty", "warm")}
-            kernels = {}
+            found = {(name, cache): [] for name in packages for cache in ("empty", "warm")}
             for _ in range(n_runs):
-                for name, (source, switch) in ways.items():
+                for name, source in packages.items():
                     cache = folder / "cache"
                     shutil.rmtree(cache, ignore_errors=True)
-                    os.environ[native_library.SWITCH] = switch
                     for kind in ("empty", "warm"):
                         arguments = arguments_of(command, raster, file)
                         found[name, kind].append(seconds_of(python, source, arguments, cache))
-                    kernels[name] = len(list(cache.rglob("*.nbi")))
             for (name, kind), seconds in found.items():
                 yield Row(
                     raster.stem, command, f"{name}-{kind}", n_runs,
-                    *(round(f(seconds), 2) for f in (statistics.median, min, max)), kernels[name],
+                    *(round(f(seconds), 2) for f in (statistics.median, min, max)),
                 )  # fmt: skip
 
 
@@ -90,10 +81,9 @@ def measure(
 @common.option("--runs", type=common.COUNT, default=5)
 def main(paths, python, others, runs, folder, out) -> None:
     """Measure first commands."""
-    own = common.ROOT / "src"
-    ways = {"library": (own, "1"), "numba": (own, "0")}
-    ways |= {name: (Path(path), "0") for name, path in (text.split("=", 1) for text in others)}
-    common.write_rows(out, measure(paths, ways, python, runs, folder))
+    packages = {"now": common.ROOT / "src"}
+    packages |= {name: Path(path) for name, path in (text.split("=", 1) for text in others)}
+    common.write_rows(out, measure(paths, packages, python, runs, folder))
     about = out.with_suffix(".json")
     listed = subprocess.run(
         [python, "-m", "pip", "list", "--format", "json"], capture_output=True, check=True
