@@ -47,7 +47,7 @@ class MethodOptions(OptionSet):
 
     @property
     def goal(self) -> str:
-        """Return the option that cuts streams, instead of a bound; "" if there is none."""
+        """Return the option that cuts streams instead of a bound, or an empty string."""
         return ""
 
     @property

@@ -51,7 +51,7 @@ class Cdf53(MethodOptions):
 
     @property
     def goal(self) -> str:
-        """Return the option that cuts streams, instead of a bound; "" if there is none."""
+        """Return the option that cuts streams instead of a bound, or an empty string."""
         return "rate" if self.rate is not None else "psnr" if self.psnr is not None else ""
 
     def check_beside(self, given: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What the passes of a run over a raster work with."""
+"""The raster, threads and folder that the passes of a run share."""
 
 import os
 from collections.abc import Callable

@@ -35,6 +35,8 @@ Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
 # Sides, in samples, of windows in which even regions are reported whole, and of windows that are
 # searched for them: next to even regions, fills of voids reach about as far.
 _SIDE, _UNEVEN_SIDE = 4096, 1024
+# Checksums of so many windows take some 10 MB, whatever the size of the raster.
+_MOST_CHECKSUMS = 1 << 16
 
 
 class Windows(SourceWindows):
@@ -110,7 +112,8 @@ class Windows(SourceWindows):
         heights, valid = self._source.read(*region)
         self._seen.note(region, heights, valid)
         if self._heights is None:
-            self._checksums[region] = _checksum(heights, valid)
+            if len(self._checksums) < _MOST_CHECKSUMS:
+                self._checksums[region] = _checksum(heights, valid)
         else:
             self._heights.write(region, heights)
             if self._valid is not None or not valid.all():
