@@ -1,6 +1,6 @@
-"""Read capsules with nothing but a C compiler: python tools/check_capsule.py FILE.twz ...
+"""Read capsules with nothing but a C compiler: python tools/check_capsule.py FILE ...
 
-Each file's capsule is unpacked in an empty folder, into which the compiler and what it needs are
+A raster is compressed first, losslessly. Each file's capsule is unpacked in an empty folder, into which the compiler and what it needs are
 put: gcc, its linker, the C library and its headers. That folder becomes the root of the file system
 (chroot): there the reader is built as the capsule's README says, checks the file and prints its
 root, which must be that of the file. Needs Linux, and the right to chroot or to make a user
@@ -68,6 +68,9 @@ def inside(folder, where, *command):
 
 def check(path, folder):
     """Check the capsule of a file."""
+    if not path.endswith(".twz"):
+        raster, path = path, str(folder / f"{Path(path).stem}.twz")
+        terrainwave.compress(raster, path)
     archive = folder / "capsule.zip"
     write_capsule(path, archive)
     with zipfile.ZipFile(archive) as capsule:

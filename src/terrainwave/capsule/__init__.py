@@ -23,11 +23,6 @@ from terrainwave.terrain import Terrain
 from terrainwave.verification.heights import verify
 
 ENDINGS = (".zip",)
-# The text of the format, as the files of a repository; `annexes` of the package belong to it.
-_DOCUMENTS = (
-    "FORMAT.md", "format-cdf53.md", "format-mesh-rqt.md", "format-mesh-zerotree.md",
-    "format-mesh.md", "format-predictive.md", "format-rapid.md",
-)  # fmt: skip
 _ANNEXES = Path(__file__).parents[1] / "annexes"
 _CHUNK = 1 << 20
 # ZIP has no time zones and begins in 1980. Equal capsules have equal bytes.
@@ -157,8 +152,8 @@ def _contents(
     docs = _sources() / "docs"
     yield "README.txt", iter([_readme(terrain, name, root).encode()])
     yield name, _pieces(terrain.container.source)
-    for document in _DOCUMENTS:
-        yield f"format/{document}", iter([_text(docs / document).encode()])
+    for document in (docs / "FORMAT.md", *sorted(docs.glob("format-*.md"))):
+        yield f"format/{document.name}", iter([_text(document).encode()])
     for annex in sorted(_ANNEXES.iterdir()):
         if annex.suffix in (".bin", ".txt"):
             yield f"format/annexes/{annex.name}", iter([annex.read_bytes()])
