@@ -63,6 +63,7 @@ MAY_IMPORT = {
     "verification": GRID | {"raster_io", "place", "terrain"},
     # Meshes, checked by what knows nothing of them before they are written.
     "lods": ROOT | {"container", "export", "terrain", "verification"},
+    "reference": set(),  # shares nothing but the annexes, which it reads itself
     "capsule": ROOT | {"container", "terrain", "verification"},
 }
 # What the packages inside of a room may import of one another; "" are the modules beside them. A

@@ -1,10 +1,10 @@
 """Read capsules with nothing but a C compiler: python tools/check_capsule.py FILE ...
 
-A raster is compressed first, losslessly. Each file's capsule is unpacked in an empty folder, into which the compiler and what it needs are
-put: gcc, its linker, the C library and its headers. That folder becomes the root of the file system
-(chroot): there the reader is built as the capsule's README says, checks the file and prints its
-root, which must be that of the file. Needs Linux, and the right to chroot or to make a user
-namespace.
+A raster is compressed first, losslessly. Each file's capsule is unpacked in an empty folder, into
+which the compiler and what it needs are put: gcc, its linker, the C library and its headers. That
+folder becomes the root of the file system (chroot): there the reader is built as the capsule's
+README says, checks the file and prints its root, which must be that of the file. Needs Linux, and
+the right to chroot or to make a user namespace.
 """
 
 import os

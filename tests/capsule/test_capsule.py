@@ -46,7 +46,16 @@ def twz(unpacked):
     if shutil.which("cc") is None:
         pytest.skip("this machine has no C compiler")
     sources = [str(unpacked / "decoder" / name) for name in ("terrainwave.c", "twz.c")]
-    command = ["cc", "-std=c11", "-Wall", "-Wextra", "-Wpedantic", *sources, "-o", str(unpacked / "twz")]
+    command = [
+        "cc",
+        "-std=c11",
+        "-Wall",
+        "-Wextra",
+        "-Wpedantic",
+        *sources,
+        "-o",
+        str(unpacked / "twz"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, "warning: " in done.stderr) == (0, False), done.stderr
     return str(unpacked / "twz")
