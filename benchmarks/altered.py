@@ -1,7 +1,7 @@
 """Altered files, found by `verify`: ``python -m benchmarks.altered``.
 
-Forged files have other heights than the published ones, with checksums and digests that fit: each is
-a raster with one sample moved, compressed as the published file was. `verify` with the published
+Forged files have other heights than the published ones, with checksums and digests that fit: each
+is a raster with one sample moved, compressed as the published file was. `verify` with the published
 root must find all. Damaged files are the published file with one bit turned: `verify` alone must
 find each, or the bit changes no height.
 """
