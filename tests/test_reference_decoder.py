@@ -900,7 +900,7 @@ def as_a_program(*words):
 
 
 def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
-    golden = GOLDEN / "rapid-digests-float32.twz"
+    golden = GOLDEN / "v2" / "rapid-digests-float32.twz"
     done = as_a_program(golden, tmp_path / "a.npy")
     assert done.returncode == 0, done.stderr
     with terrainwave.open(golden) as terrain:
@@ -922,7 +922,7 @@ def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
     ],
 )
 def test_the_program_names_what_it_cannot_decode(name, words, tmp_path):
-    done = as_a_program(GOLDEN / name, tmp_path / "a.npy")
+    done = as_a_program(GOLDEN / "v2" / name, tmp_path / "a.npy")
     assert done.returncode == 1
     assert words in done.stderr
     assert len(done.stderr.splitlines()) == 1
