@@ -239,7 +239,8 @@ native-gdals: $(VENV)/.installed-dev system-native
 # One for each minor version of GDAL: that of this system.
 native-deb: system-native
 	@$(call built_natively,deb,clang,$(with_driver) -DBUILD_TESTING=OFF -DCMAKE_INSTALL_PREFIX=/usr)
-	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
+	@mkdir -p dist && cd build/native/deb && \
+		SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct 2>/dev/null || echo 0)} cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
 		echo "dist/$$(ls -t *.deb | head -1)"
 
 # What the package writes and reads by numba, read by C as well: the package has the library, too.
