@@ -15,7 +15,7 @@ from cases import some
 from conformance import rapid as any_rapid
 from golden_files import GOLDEN
 from reference import bilinear_error
-from reference_decoder import cdf53, predictive
+from reference_decoder import cdf53, mixing, predictive
 from reference_decoder.mixing import MixingDecoder as RangeDecoder
 from reference_decoder.mixing import RangeEncoder
 from reference_decoder.spiht import Spiht
@@ -652,7 +652,10 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
         head, decode_method = bytes([rng.integers(4)]), predictive.decode_predictive
     shares = [None, None, 0.05, 0.3, 0.5, 0.8, 0.97]
     source = RandomCoder(rng, shares[rng.integers(len(shares))])
-    with patch.object(range_coder, "RangeDecoder", lambda data: source):
+    with (
+        patch.object(range_coder, "RangeDecoder", lambda data: source),
+        patch.object(mixing, "MixingDecoder", lambda data: source),
+    ):
         decode_method(file, unit, head, valid, parent_unit, parent_heights)
     return payload + head + source.stream
 

@@ -2,7 +2,8 @@
 
 from types import SimpleNamespace
 
-from reference_decoder.mixing import Mixers, MixingDecoder
+from reference_decoder import mixing
+from reference_decoder.mixing import Mixers
 from terrainwave.reference.basics import (
     UnsupportedError,
     clamp,
@@ -75,7 +76,7 @@ def read_tables(parameters):
     if not parameters:
         return found
     require(parameters[0] == 1, "layout of the parameters", UnsupportedError)
-    decoder, models = MixingDecoder(parameters[1:]), Models(138)
+    decoder, models = mixing.MixingDecoder(parameters[1:]), Models(138)
 
     def magnitude(group, limit):
         value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0)
@@ -532,7 +533,7 @@ def decode_predictive(file, unit, payload, valid, parent_unit, parent_heights):
     require(len(payload) >= 1, "payload of predictive is empty")
     flags = payload[0]
     require(flags < 4, "flags of predictive")
-    decoder = MixingDecoder(payload[1:])
+    decoder = mixing.MixingDecoder(payload[1:])
     shared = SharedDecoder(file, unit, decoder, valid, parent_unit, parent_heights)
     if parent_unit is None:
         stride = shared.decode_root_corners()
