@@ -22,7 +22,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-installed native-agrees native-verdicts native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-installed native-agrees native-verdicts native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb capsule-check amalgamation lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -46,6 +46,8 @@ help:
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheels into dist/, built twice, installed without and with each extra"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
+	@echo "make capsule-check   read capsules (docs/archiving.md) where nothing is but a C compiler, CAPSULES='FILE.twz ...'"
+	@echo "make amalgamation    the native library in one source and a header, into build/amalgamation"
 	@echo "make conformance     the set for other readers of .twz, as dist/terrainwave-conformance-1.0.zip"
 	@echo "make clean           remove what these made"
 
@@ -89,6 +91,15 @@ qgis:
 conformance: $(VENV)/.installed
 	@$(BIN)/python tools/make_conformance.py dist/terrainwave-conformance-1.0.zip
 
+# A file with its format and a reader in C, read in a folder with nothing but a compiler.
+CAPSULES := tests/golden/v2/rapid-digests-float32.twz
+capsule-check: $(VENV)/.installed
+	@$(BIN)/python tools/check_capsule.py $(CAPSULES)
+
+# The native library in one source and a header, for programs that compile it as their own.
+amalgamation: $(VENV)/.installed
+	@$(BIN)/python -m terrainwave.capsule build/amalgamation
+
 # What tests of pictures and pages need; nothing happens where all of it is there.
 system:
 	@sh tools/install_system.sh
@@ -120,7 +131,7 @@ test:
 
 # What `make test` leaves out. The last four need one core each, and what is BUILT before.
 test-all: test-full test-bounds test-python native native-sanitized
-	@$(MAKE) --no-print-directory -j$(WORKERS) BUILT=1 native-agrees native-verdicts native-compared native-fuzz
+	@$(MAKE) --no-print-directory -j$(WORKERS) BUILT=1 native-agrees native-verdicts native-compared native-fuzz capsule-check
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -160,6 +171,7 @@ long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	@$(MAKE) --no-print-directory native-fuzz RUNS=10000000
 	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
+	$(BIN)/python tools/check_capsule.py "$(DATA)"/*.tif
 	$(BIN)/python -m faults.run --only signals --signals 223
 
 bench: $(VENV)/.installed-bench
@@ -227,7 +239,8 @@ native-gdals: $(VENV)/.installed-dev system-native
 # One for each minor version of GDAL: that of this system.
 native-deb: system-native
 	@$(call built_natively,deb,clang,$(with_driver) -DBUILD_TESTING=OFF -DCMAKE_INSTALL_PREFIX=/usr)
-	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
+	@mkdir -p dist && cd build/native/deb && \
+		SOURCE_DATE_EPOCH=$${SOURCE_DATE_EPOCH:-$$(git log -1 --format=%ct 2>/dev/null || echo 0)} cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
 		echo "dist/$$(ls -t *.deb | head -1)"
 
 # What the package writes and reads by numba, read by C as well: the package has the library, too.

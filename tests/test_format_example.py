@@ -8,16 +8,17 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from reference_decoder import cdf97 as reference_cdf97
-from reference_decoder import digests, predictive, rapid
-from reference_decoder.basics import inflate
-from reference_decoder.files import DICTIONARY, NAMES, block_codes, read_file
-from reference_decoder.payloads import Bits, decode_root
-from reference_decoder.units import decode, decode_units
+from reference_decoder import predictive
 from twz import twz_bytes
 
 import terrainwave
 from terrainwave.codec.cdf97 import refiner as cdf97
+from terrainwave.reference import cdf97 as reference_cdf97
+from terrainwave.reference import digests, rapid
+from terrainwave.reference.basics import inflate
+from terrainwave.reference.files import DICTIONARY, NAMES, block_codes, read_file
+from terrainwave.reference.payloads import Bits, decode_root
+from terrainwave.reference.units import decode, decode_units
 
 DOCS = Path(__file__).parents[1] / "docs"
 DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")

@@ -39,6 +39,19 @@ def test_the_snippet_for_desktops_knows_magic_and_suffix():
 
 
 def test_files_and_the_document_have_this_magic_and_media_type():
-    assert all(path.read_bytes().startswith(MAGIC) for path in GOLDEN.glob("v1/*.twz"))
+    files = list(GOLDEN.glob("v2/*.twz"))
+    assert files
+    assert all(path.read_bytes().startswith(MAGIC) for path in files)
     assert f"| magic | {MAGIC.hex(' ').upper()} at offset 0 |" in TEXT
     assert f"`{MEDIA_TYPE}`" in TEXT
+
+
+def test_the_signature_for_droid_is_how_files_begin():
+    name = "{http://www.nationalarchives.gov.uk/pronom/SignatureFile}"
+    root = ET.parse(MIME / "terrainwave-droid.xml").getroot()
+    (sequence,) = root.iter(f"{name}Sequence")
+    begin = bytes.fromhex(sequence.text)
+    assert begin == MAGIC + bytes([FORMAT_VERSION])
+    (kind,) = root.iter(f"{name}FileFormat")
+    assert (kind.get("MIMEType"), kind.get("Version")) == (MEDIA_TYPE, str(FORMAT_VERSION))
+    assert all(path.read_bytes().startswith(begin) for path in GOLDEN.glob("v2/*.twz"))

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 import zlib
 from itertools import product
 from pathlib import Path
@@ -13,9 +15,21 @@ from cases import some
 from conformance import rapid as any_rapid
 from golden_files import GOLDEN
 from reference import bilinear_error
-from reference_decoder import cdf53, cdf97, payloads, predictive, range_coder, rapid, units
-from reference_decoder.basics import CorruptError
-from reference_decoder.files import (
+from reference_decoder import cdf53, mixing, predictive
+from reference_decoder.mixing import MixingDecoder as RangeDecoder
+from reference_decoder.mixing import RangeEncoder
+from reference_decoder.spiht import Spiht
+from twz import twz_bytes
+
+import terrainwave
+from terrainwave.codec.predictive.file_tables import all_tables, parse_file_tables
+from terrainwave.coding.deflate import deflate
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.statistics import mesh_levels
+from terrainwave.reference import cdf97, payloads, range_coder, rapid, units
+from terrainwave.reference.basics import CorruptError
+from terrainwave.reference.files import (
     DICTIONARY,
     HEADER,
     METHODS,
@@ -25,19 +39,10 @@ from reference_decoder.files import (
     read_file,
     segment_layout,
 )
-from reference_decoder.payloads import MASK_GROUPS, MASK_SAMPLES, decode_payload, decode_valid
-from reference_decoder.range_coder import THRESHOLDS, Models, RangeDecoder, RangeEncoder, bin_of
-from reference_decoder.rapid_tables import read_rapid_tables
-from reference_decoder.spiht import Spiht
-from reference_decoder.units import decode, decode_units, decode_with_own
-from twz import twz_bytes
-
-import terrainwave
-from terrainwave.codec.predictive.file_tables import all_tables, parse_file_tables
-from terrainwave.coding.deflate import deflate
-from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Block
-from terrainwave.mesh.statistics import mesh_levels
+from terrainwave.reference.payloads import MASK_GROUPS, MASK_SAMPLES, decode_payload, decode_valid
+from terrainwave.reference.range_coder import THRESHOLDS, Models, bin_of
+from terrainwave.reference.rapid_tables import read_rapid_tables
+from terrainwave.reference.units import decode, decode_units, decode_with_own
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
 
@@ -647,7 +652,10 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
         head, decode_method = bytes([rng.integers(4)]), predictive.decode_predictive
     shares = [None, None, 0.05, 0.3, 0.5, 0.8, 0.97]
     source = RandomCoder(rng, shares[rng.integers(len(shares))])
-    with patch.object(range_coder, "RangeDecoder", lambda data: source):
+    with (
+        patch.object(range_coder, "RangeDecoder", lambda data: source),
+        patch.object(mixing, "MixingDecoder", lambda data: source),
+    ):
         decode_method(file, unit, head, valid, parent_unit, parent_heights)
     return payload + head + source.stream
 
@@ -887,3 +895,37 @@ def test_of_damaged_payloads_the_library_rejects_those_that_format_calls_corrupt
     # Checksums of its own show cdf53 all damage, and last states and words nearly all to rapid.
     if method != "rapid":
         assert (n_read > 0) == (method != "cdf53")
+
+
+def as_a_program(*words):
+    command = [sys.executable, "-m", "terrainwave.reference", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
+    golden = GOLDEN / "v2" / "rapid-digests-float32.twz"
+    done = as_a_program(golden, tmp_path / "a.npy")
+    assert done.returncode == 0, done.stderr
+    with terrainwave.open(golden) as terrain:
+        heights, valid = terrain.read_with_mask()
+        assert done.stdout.strip() == terrain.digest()
+    found, mask = np.load(tmp_path / "a.npy"), np.load(tmp_path / "a.valid.npy")
+    np.testing.assert_array_equal(mask, valid)
+    np.testing.assert_array_equal(found[valid], heights[valid])
+    code = "import sys, terrainwave.reference.units; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("predictive-float32-nan.twz", "method predictive, which is not part of this decoder"),
+        ("invalid/metadata-crc.twz", "corrupt: metadata_crc"),
+        ("missing.twz", "No such file"),
+    ],
+)
+def test_the_program_names_what_it_cannot_decode(name, words, tmp_path):
+    done = as_a_program(GOLDEN / "v2" / name, tmp_path / "a.npy")
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1

@@ -1,15 +1,19 @@
 """What every release must keep: one version everywhere, metadata that agree, pinned workflows."""
 
 import configparser
+import hashlib
 import json
 import re
 import runpy
 import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 from packaging.version import Version
 
 from terrainwave import __version__
@@ -117,3 +121,20 @@ def test_actions_of_workflows_are_pinned_to_commits():
     assert len(used) >= 6
     for name in used:
         assert re.fullmatch(r"[\w./-]+@[0-9a-f]{40} # v[\d.]+", name), name
+
+
+def test_the_bill_of_materials_names_artifacts_and_packages(tmp_path):
+    (tmp_path / "a.whl").write_bytes(b"a wheel")
+    made = []
+    for name in ("one.json", "two.json"):
+        command = [sys.executable, ROOT / "tools/make_sbom.py", tmp_path / name, tmp_path / "a.whl"]
+        subprocess.run(command, check=True)
+        made.append((tmp_path / name).read_bytes())
+    assert made[0] == made[1]
+    parts = {part["name"]: part for part in json.loads(made[0])["components"]}
+    (digest,) = parts["a.whl"]["hashes"]
+    assert digest["content"] == hashlib.sha256(b"a wheel").hexdigest()
+    assert parts["maplibre-gl"]["purl"].startswith("pkg:npm/maplibre-gl@")
+    project = tomllib.loads(text_of("pyproject.toml"))["project"]
+    assert {Requirement(text).name for text in project["dependencies"]} <= set(parts)
+    assert "pytest" not in parts

@@ -128,6 +128,8 @@ import json, sys
 import numpy as np, terrainwave as tw
 heights = np.add.outer(np.arange(30), np.arange(20)).astype("int16")
 tw.compress(heights, "a.twz", max_error=1)
+from terrainwave.capsule import write_capsule
+write_capsule("a.twz", "a.zip")
 with tw.open("a.twz") as terrain:
     print(json.dumps([terrain.is_native, int(abs(terrain.read() - heights).max())]))
 """

@@ -440,6 +440,9 @@ def main(
     """Build, install, use; exit 1 if anything failed."""
     files = write_rows(out.with_name(f"{out.stem}_files.csv"), built_twice(folder))
     dist = {kind_of(row.file): ROOT / "dist" / row.file for row in files}
+    sbom = ROOT / "build" / "terrainwave.cdx.json"
+    sbom.parent.mkdir(exist_ok=True)
+    subprocess.run([sys.executable, ROOT / "tools/make_sbom.py", sbom, *dist.values()], check=True)
     do = functools.partial(check, python=python, dist=dist, folder=folder, tests=tests)
     rows = write_rows(out, (do(name) for name in only), append=append)
     is_bad = any(row.problems or row.tests_failed not in ("", "0") for row in rows)

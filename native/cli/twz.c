@@ -36,6 +36,8 @@ static const char USAGE[] =
     "                     highest height, error of the block, error of its mesh\n"
     "  twz check FILE     read all bytes, decode all heights and compare those that blocks share; silent if the\n"
     "                     file is sound. Of meshes only the checksums are compared, as a note then says\n"
+    "  twz root FILE      decode all heights and print their root: 64 digits that stand for them and for where\n"
+    "                     they lie (FORMAT 4.9), to be compared with a published one\n"
     "\n"
     "  --threads N        decode on N threads; 0: as many as there are processors; 1 otherwise\n"
     "  --kernels NAME     auto, baseline, avx2 or avx512: which instructions to use; the heights are the same\n"
@@ -409,6 +411,15 @@ static int check(session *s) {
   return 0;
 }
 
+static int root(session *s) {
+  char digits[TWZ_ROOT_SIZE];
+  const twz_workers *workers = s->pool ? twz_pool_workers(s->pool) : NULL;
+  if (twz_file_root(s->file, fetch, s->source, workers, digits, &s->error) != TWZ_OK) return failed(s);
+  puts(digits);
+  errno = 0;
+  return fflush(stdout) == 0 ? 0 : broken(s, "stdout cannot be written");
+}
+
 int main(int n, char **arguments) {
   if (n == 2 && strcmp(arguments[1], "--help") == 0) {
     fputs(USAGE, stdout);
@@ -421,11 +432,12 @@ int main(int n, char **arguments) {
   options o;
   int status = read_arguments(n, arguments, &o);
   if (status) return status;
-  static const struct { const char *name; int (*run)(session *); } COMMANDS[] = {{"info", info}, {"dump", dump}, {"check", check}};
+  static const struct { const char *name; int (*run)(session *); } COMMANDS[] = {
+      {"info", info}, {"dump", dump}, {"check", check}, {"root", root}};
   session s;
   memset(&s, 0, sizeof s);
   s.options = &o;
-  for (int i = 0; i < 3; i++) {
+  for (int i = 0; i < 4; i++) {
     if (strcmp(o.command, COMMANDS[i].name) != 0) continue;
     status = open_session(&s);
     if (status == 0) status = COMMANDS[i].run(&s);

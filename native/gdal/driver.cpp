@@ -7,6 +7,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "area.h"
@@ -149,6 +150,8 @@ class Band final : public ReadingBand<GDALPamRasterBand> {
   const twz_info &Info() const;
 };
 
+using MetadataList = decltype(std::declval<GDALPamDataset &>().GetMetadata("")); /* char **, once const */
+
 class Dataset final : public GDALPamDataset {
  public:
   static int Identify(GDALOpenInfo *info);
@@ -168,6 +171,15 @@ class Dataset final : public GDALPamDataset {
     return CE_None;
   }
 #endif
+  /* With the root of the heights, which costs a request: only where this domain is asked for. */
+  MetadataList GetMetadata(const char *domain = "") override {
+    if (domain && EQUAL(domain, DOMAIN)) AddRoot();
+    return GDALPamDataset::GetMetadata(domain);
+  }
+  const char *GetMetadataItem(const char *name, const char *domain = "") override {
+    if (domain && EQUAL(domain, DOMAIN)) AddRoot();
+    return GDALPamDataset::GetMetadataItem(name, domain);
+  }
   const OGRSpatialReference *GetSpatialRef() const override {
     return crs_.IsEmpty() ? GDALPamDataset::GetSpatialRef() : &crs_;
   }
@@ -208,6 +220,7 @@ class Dataset final : public GDALPamDataset {
  private:
   Dataset(std::shared_ptr<SharedFile> file, VSILFILE *handle, const Grid &grid, int n_threads);
   void Describe();
+  void AddRoot();
   void DescribePlace();
   double Bound() const;
   void LoadSidecar(char **siblings);
@@ -221,6 +234,7 @@ class Dataset final : public GDALPamDataset {
   std::shared_ptr<SharedFile> file_;
   VSILFILE *handle_; /* of the dataset that was opened; its overviews use it, too */
   bool owns_handle_ = false;
+  bool has_root_ = false; /* it was asked for */
   bool is_explained_ = true; /* false: the program tried to open the file for update, and has not read since */
   const Grid grid_;
   const int n_threads_;
@@ -652,6 +666,13 @@ void Dataset::Describe() {
   GDALMajorObject::SetMetadata(own.List(), DOMAIN);
   char *json[] = {const_cast<char *>(info.metadata), nullptr};
   GDALMajorObject::SetMetadata(json, "json:TERRAINWAVE");
+}
+
+void Dataset::AddRoot() {
+  if (has_root_ || !IsFinest()) return;
+  has_root_ = true;
+  const std::string root = StatedRoot(*file_, handle_);
+  if (!root.empty()) GDALMajorObject::SetMetadataItem("ROOT", root.c_str(), DOMAIN);
 }
 
 /*

@@ -480,6 +480,14 @@ double StatedError(const SharedFile &file, VSILFILE *handle, int level) {
   return largest;
 }
 
+std::string StatedRoot(const SharedFile &file, VSILFILE *handle) {
+  char root[TWZ_ROOT_SIZE];
+  twz_error error;
+  if (twz_file_stated_root(file.Get(), FetchAll, handle, root, &error) == TWZ_OK) return root;
+  SharedFile::Report(file.Name(), error);
+  return std::string();
+}
+
 int ThreadsOf(const char *option) {
   const char *text = option ? option : CPLGetConfigOption("GDAL_NUM_THREADS", "1");
   const int n = EQUAL(text, "ALL_CPUS") ? CPLGetNumCPUs() : atoi(text);

@@ -52,6 +52,9 @@ bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, tw
 /* The largest error that blocks of a level state, in raw units; negative where it takes too many requests to know. */
 double StatedError(const SharedFile &file, VSILFILE *handle, int level);
 
+/* The root that the file's digests state; empty where it has none. */
+std::string StatedRoot(const SharedFile &file, VSILFILE *handle);
+
 /* Threads that the open option, else GDAL_NUM_THREADS, asks for. */
 int ThreadsOf(const char *option);
 /* Decode by so many threads, which all datasets share. */

@@ -334,11 +334,22 @@ TWZ_API twz_status twz_window_decode_into(twz_window *window, const twz_workers 
 
 /*
  * Check all of an open file, as a verifier does (docs/FORMAT.md, 13.1): each byte belongs to one section and has the
- * right checksum, every unit decodes, and units agree on the samples that they share. Of meshes only the checksums
- * are compared. The file has no windows meanwhile. workers NULL: on this thread.
+ * right checksum, every unit decodes, units agree on the samples that they share, and heights have the digests that the
+ * file states. Of meshes only the checksums are compared. The file has no windows meanwhile. workers NULL: on this thread.
  */
 TWZ_API twz_status twz_file_check(twz_file *file, twz_fetch fetch, void *source, const twz_workers *workers,
                                   twz_error *error);
+
+/*
+ * The root of an open file (docs/FORMAT.md, 4.9): 64 hexadecimal digits that stand for all heights of the full grid,
+ * and for where they lie. Heights have the same root however they are coded. `root` has TWZ_ROOT_SIZE bytes.
+ */
+#define TWZ_ROOT_SIZE 65
+/* Of the heights as they decode: decodes all of them. workers NULL: on this thread. */
+TWZ_API twz_status twz_file_root(twz_file *file, twz_fetch fetch, void *source, const twz_workers *workers, char *root,
+                                 twz_error *error);
+/* As the file's own digests say, which nothing is compared with: reads 72 bytes at most. Empty without digests. */
+TWZ_API twz_status twz_file_stated_root(twz_file *file, twz_fetch fetch, void *source, char *root, twz_error *error);
 
 /*
  * Copy raw heights, in the file's dtype and this machine's byte order, row by row; void samples hold

@@ -1,7 +1,7 @@
 /* A verifier (FORMAT §13.1): all bytes, all units, and what units share. Meshes are not decoded. */
 #include <stdlib.h>
 
-#include "internal.h"
+#include "digest.h"
 
 enum { MOST_READ = 1 << 22 };
 
@@ -15,7 +15,16 @@ typedef struct check {
   const uint8_t *bytes; /* that were read last */
   uint8_t *buffer;
   size_t n_buffer;
+  uint8_t top[DIGEST_SIZE]; /* the digest that stands for all heights */
 } check;
+
+/* Heights have the digest that the file states. */
+static twz_status check_heights(check *c, twz_error *error) {
+  uint8_t top[DIGEST_SIZE];
+  TRY(digest_heights(c->file, c->fetch, c->source, &c->workers, top, error));
+  REQUIRE(!CHECKSUMS_COUNT || memcmp(top, c->top, DIGEST_SIZE) == 0, error, "the heights have another digest than the file says");
+  return TWZ_OK;
+}
 
 static twz_status report_check(const check *c, twz_error *error) {
   return report(&c->told, min_u64(c->n_done, 2 * c->file->file_size), 2 * c->file->file_size, error);
@@ -41,11 +50,8 @@ static twz_status read_bytes(check *c, uint64_t offset, uint64_t n, twz_error *e
     c->n_buffer = (size_t)n;
   }
   twz_range range = {.offset = offset, .length = n};
-  void *buffer = c->buffer;
   c->bytes = c->buffer;
-  if (n == 0 || c->fetch(c->source, 1, &range, &buffer) == 0) return TWZ_OK;
-  return twz_fail(error, TWZ_FETCH_FAILED, "bytes %llu to %llu could not be read", (unsigned long long)offset,
-                  (unsigned long long)(offset + n - 1));
+  return n ? fetch_range(c->file, &range, c->fetch, c->source, c->buffer, error) : TWZ_OK;
 }
 
 static twz_status load_page(check *c, place head, const page_place *page, segment **s, twz_error *error) {
@@ -126,7 +132,7 @@ static twz_status check_level(check *c, const pages *level, pages *below, uint64
   return TWZ_OK;
 }
 
-/* Digests fill the file behind the segments, and have the right checksum. What they are of is not checked. */
+/* Digests fill the file behind the segments, have the right checksum, and are those of the digests below them. */
 static twz_status check_digests(check *c, uint64_t at, twz_error *error) {
   twz_file *f = c->file;
   TRY(read_bytes(c, f->file_size - DIGESTS_TAIL, DIGESTS_TAIL, error));
@@ -136,7 +142,8 @@ static twz_status check_digests(check *c, uint64_t at, twz_error *error) {
           "%u digests do not fill the file behind the segments", n);
   TRY(read_bytes(c, at, length, error));
   REQUIRE(crc_matches(&f->crc, c->bytes, (size_t)length, crc), error, "the checksum of the digests is wrong");
-  return TWZ_OK;
+  memcpy(c->top, c->bytes, DIGEST_SIZE);
+  return check_digests_of(f, c->bytes, n, error);
 }
 
 static twz_status check_bytes(check *c, const segment *top, twz_error *error) {
@@ -281,6 +288,7 @@ twz_status twz_file_check(twz_file *f, twz_fetch fetch, void *source, const twz_
   twz_status status = check_bytes(&c, (segment *)table_find(&f->segments, top), error);
   if (status == TWZ_OK) c.n_done = f->file_size;
   if (status == TWZ_OK) status = check_below(&c, top, error);
+  if (status == TWZ_OK && f->grid.has_digests) status = check_heights(&c, error);
   twz_release(&f->allocator, c.buffer);
   return status;
 }

@@ -159,6 +159,16 @@ twz_status twz_file_feed(twz_file *f, uint64_t offset, const void *bytes, size_t
   }
 }
 
+twz_status fetch_range(const twz_file *f, const twz_range *range, twz_fetch fetch, void *source, void *to, twz_error *error) {
+  if (f->memory) {
+    memcpy(to, f->memory + range->offset, (size_t)range->length);
+    return TWZ_OK;
+  }
+  if (fetch(source, 1, range, &to) == 0) return TWZ_OK;
+  return twz_fail(error, TWZ_FETCH_FAILED, "bytes %llu to %llu could not be read", (unsigned long long)range->offset,
+                  (unsigned long long)(range->offset + range->length - 1));
+}
+
 /* Fetch ranges into one buffer and feed them, until nothing is needed. */
 twz_status load_all(const twz_allocator *a, need_function need, feed_function feed, void *self, twz_fetch fetch,
                     void *source, twz_error *error) {

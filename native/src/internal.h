@@ -30,6 +30,7 @@ static inline int64_t clamp_i64(int64_t x, int64_t low, int64_t high) {
   return min_i64(max_i64(x, low), high);
 }
 static inline int64_t abs_i64(int64_t a) { return a < 0 ? -a : a; }
+static inline double abs_double(double a) { return a < 0 ? -a : a; } /* fabs is in libm, which is nowhere else needed */
 static inline uint64_t magnitude_of(int64_t a) { return a < 0 ? (uint64_t)-(a + 1) + 1 : (uint64_t)a; } /* of -2^63, too */
 static inline uint64_t min_u64(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static inline uint32_t min_u32(uint32_t a, uint32_t b) { return a < b ? a : b; }
@@ -152,6 +153,7 @@ typedef struct json_value {
   const char *key;                 /* of a member of an object */
   size_t key_length;
   const char *string;              /* decoded, ends with NUL */
+  size_t n_string;
   const char *number;              /* its text; json_number converts it */
   size_t n_number;
   json_kind kind;
@@ -494,6 +496,9 @@ typedef twz_status (*need_function)(void *self, twz_range *ranges, size_t capaci
 typedef twz_status (*feed_function)(void *self, uint64_t offset, const void *bytes, size_t n, twz_error *error);
 twz_status load_all(const twz_allocator *a, need_function need, feed_function feed, void *self, twz_fetch fetch,
                     void *source, twz_error *error);
+
+/* Read a range of the file, which may lie in memory. */
+twz_status fetch_range(const twz_file *f, const twz_range *range, twz_fetch fetch, void *source, void *to, twz_error *error);
 
 /* Tell who is to be told how far a call is (the workers' defaults are set); ends it if that is the answer. */
 twz_status report(const twz_workers *w, uint64_t n_done, uint64_t n_all, twz_error *error);

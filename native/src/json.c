@@ -317,8 +317,7 @@ static twz_status read_value(parser *p, int depth, json_value **found) {
   }
   if (c == '"') {
     value->kind = JSON_STRING;
-    size_t length;
-    return read_string(p, &value->string, &length);
+    return read_string(p, &value->string, &value->n_string);
   }
   if (c == '-' || (c >= '0' && c <= '9')) return read_number(p, value);
   static const char *const WORDS[] = {"null", "true", "false"};

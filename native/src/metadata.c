@@ -80,7 +80,7 @@ static twz_status take_nodata(const json_value *root, int dtype, double *nodata,
   *nodata = json_number(v);
   if (is_float) {
     /* Half way from the greatest float32 to 2^128: from here on it rounds to infinity. */
-    if (dtype == TWZ_FLOAT32 && fabs(*nodata) >= 340282356779733661637539395458142568448.0) {
+    if (dtype == TWZ_FLOAT32 && abs_double(*nodata) >= 340282356779733661637539395458142568448.0) {
       return WRONG(error, "nodata", "a finite number of float32");
     }
     return TWZ_OK;
@@ -154,8 +154,8 @@ static void fill_info(twz_file *f) {
   info->method_name = METHODS[h->method];
   info->mesh_name = MESHES[h->mesh];
   info->features = h->features;
-  info->max_error = h->max_error * fabs(info->scale);
-  info->effective_bound = h->effective_bound * fabs(info->scale);
+  info->max_error = h->max_error * abs_double(info->scale);
+  info->effective_bound = h->effective_bound * abs_double(info->scale);
   info->has_valid = h->z_min <= h->z_max;
   if (info->has_valid) {
     info->raw_min = raw_of_quantum(&f->heights, h->z_min);

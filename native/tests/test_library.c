@@ -729,6 +729,48 @@ static void long_calls_report_and_can_be_ended(memory *m, twz_pool *pool) {
   twz_file_free(whole);
 }
 
+static const crc_tables *tables(void) {
+  static crc_tables t;
+  crc_tables_fill(&t);
+  return &t;
+}
+
+static size_t n_roots;
+
+/* The root of heights is that which digests state; a file with other digests is refused, with a right checksum, too. */
+static void roots_agree(memory *m) {
+  char stated[TWZ_ROOT_SIZE], root[TWZ_ROOT_SIZE];
+  twz_file *file = open_memory(m, NULL), *lent;
+  twz_error error;
+  CHECK(twz_file_stated_root(file, fetch, m, stated, NULL) == TWZ_OK);
+  CHECK(twz_file_root(file, fetch, m, NULL, root, NULL) == TWZ_OK && strlen(root) == TWZ_ROOT_SIZE - 1);
+  CHECK(twz_file_new(NULL, m->n, &lent, NULL) == TWZ_OK);
+  CHECK(twz_file_root(lent, NULL, NULL, NULL, root, NULL) == TWZ_NOT_READY);
+  CHECK(twz_file_borrow(lent, m->bytes, NULL) == TWZ_OK);
+  char same[TWZ_ROOT_SIZE];
+  CHECK(twz_file_root(lent, NULL, NULL, NULL, root, NULL) == TWZ_OK);
+  CHECK(twz_file_stated_root(lent, NULL, NULL, same, NULL) == TWZ_OK && strcmp(same, stated) == 0);
+  int has_digests = (twz_file_info(lent)->features & DIGESTS) != 0;
+  twz_file_free(lent);
+  twz_file_free(file);
+  CHECK(strcmp(stated, has_digests ? root : "") == 0);
+  if (!has_digests) return;
+  n_roots++;
+  uint32_t n = load_u32(m->bytes + m->n - 4);
+  memory other = {malloc(m->n), m->n, 0, 0, 0};
+  for (uint32_t i = 0; i < n; i++) {
+    memcpy(other.bytes, m->bytes, m->n);
+    uint8_t *digests = other.bytes + m->n - DIGESTS_TAIL - n * (size_t)DIGEST_SIZE;
+    digests[i * DIGEST_SIZE + 5] ^= 4;
+    uint32_t crc = crc32_of(tables(), digests, n * (size_t)DIGEST_SIZE);
+    for (int k = 0; k < 4; k++) other.bytes[m->n - 8 + (size_t)k] = (uint8_t)(crc >> 8 * k);
+    file = open_memory(&other, NULL);
+    CHECK(twz_file_check(file, fetch, &other, NULL, &error) == TWZ_CORRUPT && strstr(error.text, "digest"));
+    twz_file_free(file);
+  }
+  free(other.bytes);
+}
+
 /* ---- What must fail ---- */
 
 /* A window that is refused is refused again, and holds no units. */
@@ -1049,12 +1091,6 @@ static void damage_is_noticed(memory *m) {
 
 /* ---- Files of other bytes ---- */
 
-static const crc_tables *tables(void) {
-  static crc_tables t;
-  crc_tables_fill(&t);
-  return &t;
-}
-
 static void mend_header(memory *m) {
   uint32_t crc = crc32_of(tables(), m->bytes, 124);
   for (int i = 0; i < 4; i++) m->bytes[124 + i] = (uint8_t)(crc >> (8 * i));
@@ -1322,6 +1358,7 @@ int main(int n, char **files) {
     borrowed_payloads_are_not_copied(&m);
     the_cache_can_be_limited(&m);
     long_calls_report_and_can_be_ended(&m, pool);
+    roots_agree(&m);
     a_refused_window_holds_nothing(&m);
     a_damaged_version_is_no_other_one(&m);
     additions_are_refused_or_ignored(&m);
@@ -1336,7 +1373,7 @@ int main(int n, char **files) {
     damage_is_noticed(&m);
     free(m.bytes);
   }
-  CHECK(n == 1 || (n_parts > 100 && n_overlaps > 10 && n_between > 10000 && n_lent > 100 && n_reports > 100 && n_ended > 100));
+  CHECK(n == 1 || (n_parts > 100 && n_overlaps > 10 && n_between > 10000 && n_lent > 100 && n_reports > 100 && n_ended > 100 && n_roots > 0));
   twz_pool_free(pool);
   if (n_failed) fprintf(stderr, "%d checks failed\n", n_failed);
   return n_failed != 0;

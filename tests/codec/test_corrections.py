@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,6 @@ from cases import some
 from hypothesis import given
 from hypothesis import strategies as st
 from reference import level_mask
-from reference_decoder import grid as reference_grid
-from reference_decoder.basics import DOCUMENT
-from reference_decoder.payloads import decode_corrections as decode_slowly
 
 from terrainwave.codec import registry
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
@@ -22,6 +20,8 @@ from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.reference import grid as reference_grid
+from terrainwave.reference.payloads import decode_corrections as decode_slowly
 
 GRID = Grid(90, 75, 32)
 KEYS = [Block(-1, 0, 0), Block(0, 0, 0), Block(1, 0, 0), Block(1, 1, 0)]
@@ -71,7 +71,8 @@ def test_corrections_come_back_here_and_by_the_slow_decoder(key, rings, seed, sh
 
 def test_the_example_of_the_format_holds():
     """FORMAT.md §5.4: root block of 3 × 5 samples, n = 5."""
-    text = DOCUMENT[DOCUMENT.index("### 5.4 ") : DOCUMENT.index("## 6. ")]
+    document = (Path(__file__).parents[2] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+    text = document[document.index("### 5.4 ") : document.index("## 6. ")]
     data = bytes.fromhex(re.search(r"are the bytes ((?:[0-9a-f]{2} ?)+)\.", text)[1])
     parameters = CodecParameters(5, -99, 99, (1, 0), 1, 1, has_corrections=True)
     spec = unit_spec(Grid(3, 5, 32), parameters, Block(-1, 0, 0))

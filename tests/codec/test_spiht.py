@@ -4,13 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from reference_decoder.range_coder import Models, RangeDecoder
 from reference_decoder.spiht import Spiht, Stop
 from strategies import terrain_like
 
 from terrainwave.codec.cdf53.spiht import decode_field, encode_field, make_geometry
 from terrainwave.coding.lifting53 import forward_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.reference.range_coder import Models, RangeDecoder
 
 SHAPES = [(9, 9, 3), (8, 11, 3), (13, 6, 2), (1, 17, 4), (5, 1, 3), (2, 2, 1)]
 

@@ -7,8 +7,8 @@ import json
 import struct
 import zlib
 
-from reference_decoder.basics import inflate
-from reference_decoder.files import (
+from terrainwave.reference.basics import inflate
+from terrainwave.reference.files import (
     DICTIONARY,
     HEADER,
     NAMES,
@@ -16,7 +16,7 @@ from reference_decoder.files import (
     read_page,
     segment_layout,
 )
-from reference_decoder.grid import Grid
+from terrainwave.reference.grid import Grid
 
 COLUMNS = {
     "payload_length": 4, "mesh_length": 4, "flags": 1, "z_min": 1, "z_max": 1, "error": 1,

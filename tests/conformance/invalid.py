@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from reference_decoder.basics import read_varint
-from reference_decoder.files import HEADER, METHODS, NAMES
-from reference_decoder.range_coder import Models, RangeEncoder
+from reference_decoder.mixing import RangeEncoder
 
 from conformance import rapid
 from conformance.editor import Editor, deflated, optional_section, varint
+from terrainwave.reference.basics import read_varint
+from terrainwave.reference.files import HEADER, METHODS, NAMES
+from terrainwave.reference.range_coder import Models
 
 MESHES = (
     "none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",

@@ -17,8 +17,9 @@ PROFILE = {
     "meshes": [],
     "blocks": True,
     "verifier": True,
+    "digests": True,
 }
-HAS_VOIDS = 1
+HAS_VOIDS, HAS_DIGESTS = 1, 16
 
 
 class Refused(Exception):
@@ -52,8 +53,11 @@ def answer(command, question):
         return PROFILE
     if task == "check":
         run(command, "check", path)
-        return {"sound": True}
     described = json.loads(run(command, "info", path, "--json"))
+    if task == "check":
+        has_root = described["features"] & HAS_DIGESTS
+        root = {"root": run(command, "root", path).decode().strip()} if has_root else {}
+        return {"sound": True, **root}
     if task == "describe":
         return described
     if task == "blocks":

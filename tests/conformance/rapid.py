@@ -3,13 +3,14 @@
 from unittest.mock import patch
 
 import numpy as np
-from reference_decoder import payloads, rapid, units
-from reference_decoder.basics import read_varint
-from reference_decoder.files import read_file
-from reference_decoder.range_coder import Models, RangeEncoder
-from reference_decoder.rapid_tables import CORE, CUTS, PAIRS, PLANES, SAMPLES, TAPS, WEIGHTS
+from reference_decoder.mixing import RangeEncoder
 
 from conformance.editor import varint
+from terrainwave.reference import payloads, rapid, units
+from terrainwave.reference.basics import read_varint
+from terrainwave.reference.files import read_file
+from terrainwave.reference.range_coder import Models
+from terrainwave.reference.rapid_tables import CORE, CUTS, PAIRS, PLANES, SAMPLES, TAPS, WEIGHTS
 
 N_STATES = (1, 8, 32)
 START = 65536  # of states, when encoding begins

@@ -6,12 +6,13 @@ from pathlib import Path
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[1])]
 
-from reference_decoder.basics import CorruptError, UnsupportedError
-from reference_decoder.digests import root_of, section_of
-from reference_decoder.files import DTYPES, METHODS, block_codes, decode_error, read_file
-from reference_decoder.units import decode, decode_with_own
+import reference_decoder  # noqa: F401  # with all methods
 
 from conformance import protocol
+from terrainwave.reference.basics import CorruptError, UnsupportedError
+from terrainwave.reference.digests import root_of, section_of
+from terrainwave.reference.files import DTYPES, METHODS, block_codes, decode_error, read_file
+from terrainwave.reference.units import decode, decode_with_own
 
 PROFILE = {
     "name": "reference decoder",

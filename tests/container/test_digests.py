@@ -6,12 +6,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from reference_decoder import digests as slow
 
 from terrainwave.container.digests import DigestTree, TileDigests, tile_digests, unpack_digests
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region
+from terrainwave.reference import digests as slow
 
 
 def tree_of(heights, valid, side=512):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from conformance.editor import Editor
-from reference_decoder.units import decode
 from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave as tw
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.reference.units import decode
 
 
 def one_sided(heights, side, max_error):

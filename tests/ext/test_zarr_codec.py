@@ -2,16 +2,20 @@
 
 import itertools
 import json
+import math
+import re
 import warnings
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
-import zarr
+from jsonschema import Draft202012Validator
 from strategies import terrain_like
 from zarr.storage import MemoryStore
 
 import terrainwave
+import zarr
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
@@ -382,3 +386,36 @@ def test_numbers_of_numpy_are_numbers(number):
     codec = TerrainwaveCodec(max_error=number, nodata=number)
     assert codec == TerrainwaveCodec(max_error=number.item(), nodata=number.item())
     assert type(codec.to_dict()["configuration"]["max_error"]) in (int, float)
+
+
+ENTRY = Path(__file__).parents[2] / "zarr" / "codecs" / "terrainwave"
+SCHEMA = Draft202012Validator(json.loads((ENTRY / "schema.json").read_text()))
+
+
+@pytest.mark.parametrize("nodata", [None, -5.0, math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("options", [{}, {"effort": "best", "stable": False}])
+def test_metadata_of_arrays_follow_the_entry_of_the_codec(tmp_path, nodata, options):
+    codec = TerrainwaveCodec(max_error=1, nodata=nodata, **options)
+    zarr.create_array(
+        tmp_path / "a.zarr", shape=(8, 8), dtype="float32", chunks=(8, 8), fill_value=0.0,
+        serializer=codec, compressors=None,
+    )[:] = np.ones((8, 8), np.float32)  # fmt: skip
+
+    def refuse(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    text = (tmp_path / "a.zarr" / "zarr.json").read_text()
+    (found,) = json.loads(text, parse_constant=refuse)["codecs"]
+    SCHEMA.validate(found)
+    assert repr(TerrainwaveCodec.from_dict(found)) == repr(codec)
+    assert abs(zarr.open_array(tmp_path / "a.zarr")[3, 3] - 1) <= 1
+
+
+def test_the_example_of_the_entry_is_an_array_that_zarr_opens(tmp_path):
+    text = (ENTRY / "README.md").read_text()
+    example = re.search(r"```json\n(.*?)```", text, re.DOTALL)[1]
+    SCHEMA.validate(json.loads(example)["codecs"][0])
+    (tmp_path / "zarr.json").write_text(example)
+    assert zarr.open_array(tmp_path)[0, 0] == -32768
+    wrong = {"name": "terrainwave", "configuration": {"max_error": 1, "other": 2}}
+    assert not SCHEMA.is_valid(wrong)

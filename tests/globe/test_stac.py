@@ -2,11 +2,16 @@
 
 import hashlib
 import json
+import re
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from commands import run
+from jsonschema import Draft7Validator, FormatChecker
+from referencing import Registry, Resource
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
@@ -43,7 +48,7 @@ def test_an_item_says_what_the_file_is(tmp_path):
     assert asset["file:checksum"] == "1220" + hashlib.sha256(path.read_bytes()).hexdigest()
     assert asset["file:size"] == path.stat().st_size
     assert asset["type"] == "application/vnd.terrainwave"
-    (band,) = asset["raster:bands"]
+    (band,) = asset["bands"]
     assert (band["data_type"], band["nodata"], band["unit"]) == ("int16", -9999, "metre")
     properties = item["properties"]
     assert properties["datetime"] == "2021-05-03T10:00:00Z"
@@ -117,13 +122,62 @@ def test_statistics_are_of_pixels_before_scale_and_offset(tmp_path):
     with rasterio.open(path, "r+") as dataset:
         dataset.scales, dataset.offsets = (0.5,), (-100,)
     terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
-    band = item_of(tmp_path / "a.twz")["assets"]["data"]["raster:bands"][0]
+    band = item_of(tmp_path / "a.twz")["assets"]["data"]["bands"][0]
     assert band["statistics"] == {"minimum": heights.min(), "maximum": heights.max()}
-    assert (band["scale"], band["offset"]) == (0.5, -100)
+    assert (band["raster:scale"], band["raster:offset"]) == (0.5, -100)
 
 
 def test_voids_alone_have_no_statistics(tmp_path):
     place = {"crs": "EPSG:32633", "transform": (30.0, 0.0, 5e5, 0.0, -30.0, 5.2e6)}
     path = write_geotiff(tmp_path / "a.tif", np.full((9, 9), -1, "int16"), nodata=-1, **place)
     terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
-    assert "statistics" not in item_of(tmp_path / "a.twz")["assets"]["data"]["raster:bands"][0]
+    assert "statistics" not in item_of(tmp_path / "a.twz")["assets"]["data"]["bands"][0]
+
+
+STAC = Path(__file__).parents[2] / "stac"
+EXTENSION = json.loads((STAC / "json-schema" / "schema.json").read_text())
+
+
+def schema_of_items():
+    """Return a validator by STAC's own schema of items, which comes with pystac."""
+    folder = Path(str(files("pystac.validation") / "jsonschemas"))
+    found = {path.name: json.loads(path.read_text()) for path in folder.rglob("*.json")}
+    near = found["item.json"]["$id"].rpartition("/")[0]  # where its references look
+    registry = Registry()
+    for name, schema in found.items():
+        for id_ in (schema["$id"].rstrip("#"), f"{near}/{name}"):
+            registry = registry.with_resource(id_, Resource.from_contents(schema))
+    return Draft7Validator(found["item.json"], registry=registry, format_checker=FormatChecker())
+
+
+@pytest.mark.parametrize("name", ["raster", "example"])
+def test_items_are_valid_by_the_schemas_of_stac_and_of_the_extension(name, tmp_path):
+    item = json.loads((STAC / "examples" / "item.json").read_text())
+    if name != "example":
+        source = write_geotiff(
+            tmp_path / "dem.tif", terrain_like(40, 60), crs="EPSG:32633", nodata=-9999,
+            transform=(30.0, 0.0, 500000.0, 0.0, -30.0, 5200000.0), units=("metre",),
+        )  # fmt: skip
+        terrainwave.compress(source, tmp_path / "dem.twz", max_error=2)
+        item = item_of(tmp_path / "dem.twz")
+    schema_of_items().validate(item)
+    Draft7Validator(EXTENSION).validate(item)
+    assert EXTENSION["$id"] in item["stac_extensions"]
+
+
+def test_the_schema_refuses_what_the_extension_does_not_say():
+    item = json.loads((STAC / "examples" / "item.json").read_text())
+    for key, value in (
+        ("terrainwave:max_error", -1),
+        ("terrainwave:root", "abc"),
+        ("terrainwave:bound", "left"),
+        ("terrainwave:other", 1),
+    ):
+        wrong = item | {"properties": item["properties"] | {key: value}}
+        assert not Draft7Validator(EXTENSION).is_valid(wrong), key
+
+
+def test_the_extension_describes_the_fields_of_items():
+    text = (STAC / "README.md").read_text()
+    known = EXTENSION["properties"]["properties"]["properties"]
+    assert re.findall(r"^\| `(terrainwave:\w+)`", text, re.M) == list(known)

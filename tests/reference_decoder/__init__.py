@@ -1,7 +1,13 @@
-"""A slow, obvious decoder of .twz files, written from docs/FORMAT.md and its annexes alone.
+"""The methods that `terrainwave.reference` leaves out: cdf53 and predictive.
 
-Plain Python on lists of integers; numpy only for the arrays that come out. Nothing of it is
-shared with `terrainwave` but the annexes, which both load, and `src` never imports it: where the
-two disagree, one of them or the document is wrong. Sections of docs/FORMAT.md are cited
-as §n, those of its annexes by their letters.
+Written, as that package is, from docs/FORMAT.md and its annexes alone. To import this package adds
+them to its tables.
 """
+
+from reference_decoder.cdf53 import decode_level
+from reference_decoder.predictive import decode_predictive, read_tables
+from terrainwave.reference import files, payloads, units
+
+files.PARAMETERS["predictive"] = lambda parameters, _step: read_tables(parameters)
+payloads.DECODERS["predictive"] = decode_predictive
+units.LEVEL_DECODERS["cdf53"] = decode_level

@@ -3,11 +3,10 @@
 import zlib
 from types import SimpleNamespace
 
-from reference_decoder import range_coder
-from reference_decoder.basics import clamp, read_varint, require, zeros
-from reference_decoder.payloads import decode_valid, quanta_of_nodata
-from reference_decoder.range_coder import Models
 from reference_decoder.spiht import HL, LH, Spiht, Stop
+from terrainwave.reference.basics import clamp, read_varint, require, zeros
+from terrainwave.reference.payloads import decode_valid, quanta_of_nodata
+from terrainwave.reference.range_coder import Models, RangeDecoder
 
 PIECE = 4096
 N_BORDER_MODELS = 24 * 46
@@ -148,7 +147,7 @@ def parse_payload(file, payload, tile):
 
 def decode_borders(data, field, tile, places):
     """Put the coefficients of held sides into `field`."""
-    decoder, models = range_coder.RangeDecoder(data), Models(N_BORDER_MODELS)
+    decoder, models = RangeDecoder(data), Models(N_BORDER_MODELS)
     for side, is_held in zip(("top", "left", "bottom", "right"), tile.held, strict=True):
         for t in reversed(range(tile.n_transforms)) if is_held else ():
             axis, band = (0, HL) if side in ("top", "bottom") else (1, LH)
@@ -168,7 +167,7 @@ def decode_borders(data, field, tile, places):
 def decode_stream(head, shape, n_transforms):
     """Return the coefficients of C.5 by their places in F, and all places by coefficient."""
     spiht, models = Spiht(shape, n_transforms), Models(1515)
-    decoder = range_coder.RangeDecoder(head.stream)
+    decoder = RangeDecoder(head.stream)
 
     def decide(model, _truth):
         if not head.is_whole and decoder.position > len(head.stream):

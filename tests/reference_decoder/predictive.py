@@ -2,9 +2,18 @@
 
 from types import SimpleNamespace
 
-from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, corrected, require, tables, zeros
-from reference_decoder.range_coder import M, Mixers, Models, bin_of, lg
+from reference_decoder import mixing
+from reference_decoder.mixing import Mixers
+from terrainwave.reference.basics import (
+    UnsupportedError,
+    clamp,
+    corrected,
+    fold,
+    require,
+    tables,
+    zeros,
+)
+from terrainwave.reference.range_coder import M, Models, bin_of, lg
 
 PLANES = ("HH", "HL", "LH")
 PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
@@ -67,7 +76,7 @@ def read_tables(parameters):
     if not parameters:
         return found
     require(parameters[0] == 1, "layout of the parameters", UnsupportedError)
-    decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(138)
+    decoder, models = mixing.MixingDecoder(parameters[1:]), Models(138)
 
     def magnitude(group, limit):
         value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0)
@@ -251,14 +260,6 @@ class SharedDecoder:
 
 
 # P.5: lattices ------------------------------------------------------------------------------------
-
-
-def fold(i, n):
-    """Whole-sample symmetry about 0 and n - 1, repeated until inside."""
-    if n == 1:
-        return 0
-    i %= 2 * (n - 1)
-    return min(i, 2 * (n - 1) - i)
 
 
 class Scale:
@@ -532,7 +533,7 @@ def decode_predictive(file, unit, payload, valid, parent_unit, parent_heights):
     require(len(payload) >= 1, "payload of predictive is empty")
     flags = payload[0]
     require(flags < 4, "flags of predictive")
-    decoder = range_coder.RangeDecoder(payload[1:])
+    decoder = mixing.MixingDecoder(payload[1:])
     shared = SharedDecoder(file, unit, decoder, valid, parent_unit, parent_heights)
     if parent_unit is None:
         stride = shared.decode_root_corners()

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from cases import some
 from containers import open_container
-from reference_decoder.units import decode
 from strategies import terrain_like, write_geotiff
 from twz import grouped
 
@@ -13,6 +12,7 @@ from terrainwave.codec import group
 from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.quadtree import Block
+from terrainwave.reference.units import decode
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from conformance.editor import Editor
-from reference_decoder.digests import root_of, section_of
-from reference_decoder.files import read_file
 from strategies import terrain_like, write_geotiff
 from twz import grouped, twz_bytes
 
 import terrainwave as tw
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError
+from terrainwave.reference.digests import root_of, section_of
+from terrainwave.reference.files import read_file
 from terrainwave.write.meshes import store_meshes
 
 NODATA = -32768

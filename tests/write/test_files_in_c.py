@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import pytest
 from golden_files import GOLDEN
-from reference_decoder.units import decode
 
 import terrainwave
 from benchmarks.both_encoders import Drawn, compare, compressed, drawn_raster
 from terrainwave.codec.rapid import unit_in_c
 from terrainwave.coding import native_library
+from terrainwave.reference.units import decode
 
 sys.path.append(str(GOLDEN.parents[1] / "tools"))
 import make_golden

@@ -36,6 +36,8 @@ from terrainwave.raster_io.undeclared_voids import note_on_marks
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
+# Values of `nodata` that JSON has no numbers for, as Zarr names them.
+_NOT_FINITE = ("NaN", "Infinity", "-Infinity")
 # Zarr codes several chunks at a time; a chunk of this size justifies threads of its own.
 _THREADED_SAMPLES = 1 << 22
 # Chunks that a zarr task decodes before it encodes are ones that it writes in part.
@@ -116,13 +118,18 @@ class TerrainwaveCodec(ArrayBytesCodec):
                 f"found {given} in the metadata of the codec {CODEC_NAME}, expected max_error and,"
                 " if need be, nodata, effort and stable"
             )
-        return cls(**configuration)
+        known = dict(configuration)
+        if known.get("nodata") in _NOT_FINITE:
+            known["nodata"] = float(known["nodata"])
+        return cls(**known)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the codec's entry in array metadata."""
         configuration: dict[str, Any] = {"max_error": self.max_error, "stable": self.stable}
         if self.nodata is not None:
-            configuration["nodata"] = self.nodata
+            is_finite = math.isfinite(self.nodata)
+            names = (name for name in _NOT_FINITE if repr(float(name)) == repr(self.nodata))
+            configuration["nodata"] = self.nodata if is_finite else next(names)
         if self.effort != "default":
             configuration["effort"] = self.effort
         return {"name": CODEC_NAME, "configuration": configuration}

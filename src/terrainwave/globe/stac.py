@@ -1,4 +1,4 @@
-"""A .twz file as an item of a SpatioTemporal Asset Catalog (STAC 1.0.0)."""
+"""A .twz file as an item of a SpatioTemporal Asset Catalog (STAC 1.1.0)."""
 
 import hashlib
 import os
@@ -18,12 +18,15 @@ from terrainwave.place.meaning import HEIGHT
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-VERSION = "1.0.0"
+VERSION = "1.1.0"
+# Bound, method, levels and root: stac/ of the repository describes it.
+EXTENSION = "urn:terrainwave:stac-extension:v1.0.0"
 Ring = list[list[float]]
 _EXTENSIONS = (
     "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
-    "https://stac-extensions.github.io/raster/v1.1.0/schema.json",
+    "https://stac-extensions.github.io/raster/v2.0.0/schema.json",
     "https://stac-extensions.github.io/file/v2.1.0/schema.json",
+    EXTENSION,
 )
 # Tags with a raster's date of measurement, the best first.
 _DATES = ("ACQUISITION_DATE", "TIFFTAG_DATETIME")
@@ -39,7 +42,7 @@ _SHA256 = "1220"  # of a multihash: its code and its length
 
 
 def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]:
-    """Return a STAC item of a file: outline, CRS, resolution, bound, checksum; plain values.
+    """Return a STAC item of a file: outline, CRS, resolution, bound, root, checksum; plain values.
 
     Reads all bytes of the file, for the checksum.
 
@@ -63,11 +66,11 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "data_type": info.dtype,
         "nodata": str(info.nodata) if info.nodata != info.nodata else info.nodata,
         "unit": info.units,
-        "scale": info.scale if info.scale != 1 else None,
-        "offset": info.offset or None,
-        "spatial_resolution": metres,
         "statistics": _statistics(terrain),
-        "sampling": (info.area_or_point or "Area").lower(),
+        "raster:scale": info.scale if info.scale != 1 else None,
+        "raster:offset": info.offset or None,
+        "raster:spatial_resolution": metres,
+        "raster:sampling": (info.area_or_point or "Area").lower(),
     }
     properties = {
         "datetime": _datetime(info.tags, name),
@@ -77,10 +80,12 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "proj:transform": list(info.transform),
         # In metres on the globe; in the unit of the heights if that is unknown.
         "terrainwave:max_error": globe.effective_error,
+        "terrainwave:bound": info.bound,
         # Meaning of the statistics; heights are the default.
         "terrainwave:heights_are": None if info.heights_are == HEIGHT else info.heights_are,
         "terrainwave:method": info.method,
         "terrainwave:levels": info.n_levels,
+        "terrainwave:root": terrain.digest(),
     }
     asset = {
         "href": href or name,
@@ -88,7 +93,7 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
         "roles": ["data"],
         "file:size": source.size,
         "file:checksum": _checksum(source),
-        "raster:bands": [_without_nothing(band)],
+        "bands": [_without_nothing(band)],
     }
     known = _without_nothing(properties) | {"datetime": properties["datetime"]}
     return {

@@ -4,6 +4,7 @@ import click
 
 from terrainwave._version import __version__
 from terrainwave.cli.commands import (
+    capsule,
     compress,
     decompress,
     demo,
@@ -35,6 +36,7 @@ for _command in (
     mesh.mesh,
     info.info,
     verify.verify,
+    capsule.capsule,
     warmup.warmup,
     doctor.doctor,
     demo.demo,

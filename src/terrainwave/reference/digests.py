@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 
-from reference_decoder.basics import require
+from terrainwave.reference.basics import require
 
 NONE = bytes(32)
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}

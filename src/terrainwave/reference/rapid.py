@@ -3,9 +3,16 @@
 from bisect import bisect_right
 from functools import cache
 
-from reference_decoder.basics import ceil_div, clamp, corrected, read_varint, require, zeros
-from reference_decoder.predictive import fold
-from reference_decoder.rapid_tables import CORE, ESCAPE, TAPS
+from terrainwave.reference.basics import (
+    ceil_div,
+    clamp,
+    corrected,
+    fold,
+    read_varint,
+    require,
+    zeros,
+)
+from terrainwave.reference.rapid_tables import CORE, ESCAPE, TAPS
 
 PARITY = {"HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
 GOES_ON = 63  # R.9
@@ -215,7 +222,7 @@ class Lattice:
         return (((p << self.unit.shift) + 2) >> 2) + self.unit.origin, self.turned(p, sum(core))
 
     def predict_known(self, u, k):
-        """The same between samples k and k + 1 of a line (R.3)."""
+        """Return the same between samples k and k + 1 of a line (R.3)."""
         four = a, b, c, d = [u[fold(i, len(u))] for i in range(k - 1, k + 3)]
         p = clamp((9 * (b + c) - a - d) >> 2, 4 * min(four), 4 * max(four))
         return (p + 2) >> 2, self.turned(p, 2 * (b + c))

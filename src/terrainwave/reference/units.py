@@ -4,15 +4,18 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from reference_decoder import cdf53
-from reference_decoder.basics import require
-from reference_decoder.files import DTYPES, METHODS, read_file
-from reference_decoder.payloads import (
+from terrainwave.reference.basics import UnsupportedError, require
+from terrainwave.reference.files import DTYPES, METHODS, read_file
+from terrainwave.reference.payloads import (
+    DECODERS,
     decode_payload,
     nodata_in_dtype,
     raw_height,
     with_remainder,
 )
+
+# Methods whose units have several levels, and what decodes one of them.
+LEVEL_DECODERS: dict = {}
 
 
 def block_with_apron(grid, block, holder):
@@ -60,10 +63,8 @@ def decode_quanta(file, level):
     heights = [[None] * n_cols for _ in range(n_rows)]
     mask, own = ([[None] * n_cols for _ in range(n_rows)] for _ in range(2))
     remainders = [[0] * n_cols for _ in range(n_rows)]
-    is_tiled = METHODS[file.header.method] == "cdf53"
-    for unit, unit_heights, valid, *rest in (cdf53.decode_level if is_tiled else decode_units)(
-        file, level
-    ):
+    decode_level = LEVEL_DECODERS.get(METHODS[file.header.method], decode_units)
+    for unit, unit_heights, valid, *rest in decode_level(file, level):
         rest = rest[0] if rest and rest[0] else None
         for i in range(unit.rows.n):
             for j in range(unit.cols.n):
@@ -92,6 +93,9 @@ def decode(data, level=-1):
 def decode_with_own(data, level=-1):
     """Return the same and own samples."""
     file = read_file(data)
+    method = METHODS[file.header.method]
+    is_known = method in DECODERS or method in LEVEL_DECODERS
+    require(is_known, f"method {method}, which is not part of this decoder", UnsupportedError)
     quanta, mask, remainders, own = decode_quanta(
         file, level if level >= 0 else level + file.grid.k_max + 1
     )

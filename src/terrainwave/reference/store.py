@@ -2,7 +2,7 @@
 
 import struct
 
-from reference_decoder.basics import ceil_div, clamp, require
+from terrainwave.reference.basics import ceil_div, clamp, require
 
 
 def decode_store(file, unit, payload, valid, parent_unit, parent_heights):

@@ -8,17 +8,16 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from reference_decoder.basics import (
+from terrainwave.reference.basics import (
     CorruptError,
     UnsupportedError,
     annex,
     inflate,
     require,
 )
-from reference_decoder.digests import section_before
-from reference_decoder.grid import Grid
-from reference_decoder.predictive import read_tables
-from reference_decoder.rapid_tables import read_rapid_tables
+from terrainwave.reference.digests import section_before
+from terrainwave.reference.grid import Grid
+from terrainwave.reference.rapid_tables import read_rapid_tables
 
 DICTIONARY = annex("dictionary.txt")  # §4.6
 
@@ -31,6 +30,8 @@ NAMES = (
     "top_page_length mesh_tolerance header_crc"
 ).split()
 METHODS = {0: "store", 1: "cdf97", 2: "predictive", 3: "cdf53", 4: "rapid"}
+# Readers of the parameters (§4.3), by method: of a section and the step.
+PARAMETERS = {"rapid": read_rapid_tables}
 DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "float64"}
 
 
@@ -257,7 +258,8 @@ def read_file(data):
     at += h.metadata_length
     parameters = data[at : at + h.parameters_length]
     require(zlib.crc32(parameters) == h.parameters_crc, "parameters_crc")
-    if METHODS[h.method] not in ("predictive", "rapid"):
+    read_parameters = PARAMETERS.get(METHODS[h.method])
+    if read_parameters is None:
         require(not parameters, "the method has no parameters", UnsupportedError)
     at += h.parameters_length
 
@@ -319,11 +321,7 @@ def read_file(data):
     return SimpleNamespace(
         header=h,
         parameters=parameters,
-        tables=(
-            read_rapid_tables(parameters, h.step)
-            if METHODS[h.method] == "rapid"
-            else read_tables(parameters)
-        ),
+        tables=read_parameters and read_parameters(parameters, h.step),
         metadata=metadata,
         grid=grid,
         payloads=payloads,

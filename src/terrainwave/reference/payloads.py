@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from reference_decoder import range_coder
-from reference_decoder.basics import (
+from terrainwave.reference import range_coder
+from terrainwave.reference.basics import (
     ceil_div,
     clamp,
     inflate,
@@ -12,24 +12,18 @@ from reference_decoder.basics import (
     tables,
     zeros,
 )
-from reference_decoder.cdf97 import decode_cdf97
-from reference_decoder.files import DTYPES, METHODS
-from reference_decoder.predictive import decode_predictive
-from reference_decoder.range_coder import Models
-from reference_decoder.rapid import decode_rapid
-from reference_decoder.store import decode_store
+from terrainwave.reference.cdf97 import decode_cdf97
+from terrainwave.reference.files import DTYPES, METHODS
+from terrainwave.reference.range_coder import Models
+from terrainwave.reference.rapid import decode_rapid
+from terrainwave.reference.store import decode_store
 
 MASK_SAMPLES, MASK_GROUPS = tables("masks.bin", ("H", 16, 49), ("H", 7, 13))  # §5.2
-DECODERS = {
-    "store": decode_store,
-    "cdf97": decode_cdf97,
-    "predictive": decode_predictive,
-    "rapid": decode_rapid,
-}
+DECODERS = {"store": decode_store, "cdf97": decode_cdf97, "rapid": decode_rapid}
 
 
 def implied_void(unit, parent_unit, parent_valid):
-    """Samples of the region that a void parent sample touches (§5.1)."""
+    """Return the samples of the region that a void parent sample touches (§5.1)."""
     n_rows, n_cols = unit.rows.n, unit.cols.n
     if parent_unit is None:
         return [[False] * n_cols for _ in range(n_rows)]

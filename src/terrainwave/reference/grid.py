@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from reference_decoder.basics import ceil_div
+from terrainwave.reference.basics import ceil_div
 
 
 class Grid:

@@ -1,23 +1,14 @@
-"""What all parts share: errors, numbers, deflate (docs/FORMAT.md §1), text of the document."""
+"""Parts that all modules share: errors, numbers, deflate (§1), annexes (§15)."""
 
-import re
 import struct
 import zlib
 from math import prod
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-DOCUMENT = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")
-
-
-def fenced(name):
-    """Return the text of a fenced block of the document."""
-    return re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
-
 
 def annex(name):
     """Return the bytes of an annex (§15)."""
-    return (ROOT / "src" / "terrainwave" / "annexes" / name).read_bytes()
+    return (Path(__file__).parents[1] / "annexes" / name).read_bytes()
 
 
 def tables(name, *layout):
@@ -94,3 +85,11 @@ def read_varint(data, at):
             require(byte > 0 or i == 0, "varint is longer than it must be")
             return value, at + i + 1
     raise CorruptError("varint has a sixth byte")
+
+
+def fold(i, n):
+    """Whole-sample symmetry about 0 and n - 1, repeated until inside."""
+    if n == 1:
+        return 0
+    i %= 2 * (n - 1)
+    return min(i, 2 * (n - 1) - i)

@@ -3,8 +3,8 @@
 from itertools import accumulate
 from types import SimpleNamespace
 
-from reference_decoder.basics import require, tables
-from reference_decoder.range_coder import Models, RangeDecoder
+from terrainwave.reference.basics import require, tables
+from terrainwave.reference.range_coder import Models, RangeDecoder
 
 PLANES = ("HH", "HL", "LH")
 STENCILS, CUTS, WEIGHTS, PAIRS, SAMPLES = tables(  # R.11

@@ -2,9 +2,9 @@
 
 from types import SimpleNamespace
 
-from reference_decoder import range_coder
-from reference_decoder.basics import at_or_zero, clamp, read_varint, require, tables, zeros
-from reference_decoder.range_coder import M, Models, bin_of, lg
+from terrainwave.reference import range_coder
+from terrainwave.reference.basics import at_or_zero, clamp, read_varint, require, tables, zeros
+from terrainwave.reference.range_coder import M, Models, bin_of, lg
 
 TERM_WEIGHTS_97, E_WEIGHTS_97, RESIDUAL_STARTS, TREE_STARTS, BORDER_STARTS = tables(  # §7.8
     "cdf97.bin", ("h", 16, 4, 19), ("h", 8), ("H", 1527), ("H", 4124), ("H", 2860)
