@@ -17,18 +17,16 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
-from rasterio.windows import Window
 from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave import interrupts
-from terrainwave.arguments import count_of
 from terrainwave.cli import main, signals
 from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
-from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
+from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
 from terrainwave.progress import Progress
 
@@ -60,27 +58,6 @@ def twz(tmp_path, dem):
 
 
 # --- the main job ------------------------------------------------------------------------------
-
-
-def test_what_verify_and_compress_find_is_told_in_options(tmp_path, dem, twz):
-    with rasterio.open(dem) as dataset:
-        heights, profile = dataset.read(1), dataset.profile
-    narrow = tmp_path / "narrow.tif"
-    with rasterio.open(narrow, "w", **profile | {"height": 10}) as dataset:
-        dataset.write(heights[:10], 1)
-    (tmp_path / "folder").mkdir()
-    shutil.copy(narrow, tmp_path / "folder" / f"{twz.stem}.tif")
-    asked = ["--heights-are", "depth"]
-    alone = ["verify", str(twz), str(narrow), *asked]
-    several = ["verify", str(twz), str(twz), "--originals", str(tmp_path / "folder"), *asked]
-    for words in (alone, [*alone, "--json"], several, [*several, "--json"]):
-        told = run(*words).output
-        assert "(with --part only what it covers is compared)" in told, told
-        assert "found depths (--heights-are)" in told, told
-        assert "`" not in told
-    deep = write_geotiff(tmp_path / "d.tif", heights, tags={"positive": "down"})
-    told = json.loads(run("compress", str(deep), str(tmp_path / "d.twz"), "--json").stdout)
-    assert any("choose with --heights-are" in note for note in told["notes"]), told["notes"]
 
 
 def test_no_georeference_leaves_place_and_crs_out(tmp_path, dem):
@@ -162,12 +139,6 @@ def test_a_file_made_without_the_proof_says_so(tmp_path, dem):
             assert ("without the proof" in terrain._repr_html_()) is not is_proved
 
 
-@pytest.mark.parametrize("option", [["--no-mesh"], ["--mesh", "none"]])
-def test_no_mesh_is_accepted(tmp_path, dem, option):
-    done = run("compress", dem, tmp_path / "a.twz", "--method", "store", *option)
-    assert done.exit_code == 0, done.output
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -224,35 +195,6 @@ def test_decompress_prints_json(tmp_path, twz):
     assert found["n_bytes"] == target.stat().st_size
 
 
-# Options that some commands have and their siblings lack, each with the reason.
-WITHOUT = {
-    "--quiet": {"info": "prints nothing else", "doctor": "prints nothing else"},
-    "--json": {
-        "render": "has --stats", "view": "is a window", "serve": "has its page",
-        "demo": "is a table to read", "warmup": "has nothing to tell a program",
-    },
-    "--threads": {
-        "doctor": "reads nothing", "publish": "copies files", "demo": "is small",
-        "warmup": "compiles one by one",
-    },
-    "--overwrite": {
-        "patch": "changes its file", "info": "writes none", "verify": "writes none",
-        "doctor": "writes none", "view": "writes none", "serve": "writes none",
-        "demo": "keeps what is there", "warmup": "adds to what is there",
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("option", WITHOUT)
-def test_commands_have_their_siblings_options_or_a_reason(option):
-    lacking = {
-        name
-        for name, command in main.commands.items()
-        if not any(option in param.opts for param in command.params)
-    }
-    assert lacking == WITHOUT[option].keys()
-
-
 def test_decompress_window_bounds_and_level(tmp_path, twz):
     with terrainwave.open(twz) as terrain:
         whole, half = terrain.read(), terrain.read(level=-2)
@@ -283,17 +225,6 @@ def test_a_part_beyond_the_edge_is_cut_with_a_note(tmp_path, twz, command, optio
     )
 
 
-@pytest.mark.parametrize("level", [-1, -2])
-@pytest.mark.parametrize("kind", ["bounds", "window"])
-def test_a_whole_part_has_no_note(tmp_path, twz, kind, level):
-    with terrainwave.open(twz) as terrain:
-        n_rows, n_cols = terrain.level_shape(level)
-        part = terrain.bounds if kind == "bounds" else (0, 0, n_rows, n_cols)
-    words = f"--{kind}", ",".join(map(repr, part)), "--level", level
-    done = run("decompress", twz, tmp_path / "a.tif", *words)
-    assert (done.exit_code, "note" in done.stderr) == (0, False)
-
-
 def test_decompress_makes_a_cog(tmp_path, twz):
     assert run("decompress", twz, tmp_path / "a.tif", "--cog", "--threads", 2).exit_code == 0
     with rasterio.open(tmp_path / "a.tif") as dataset:
@@ -316,36 +247,6 @@ def test_info_json_is_complete(twz):
     assert len(fields["level_errors"]) == fields["n_levels"]
 
 
-def test_info_says_that_a_file_is_faithful(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    options = ["--method", "cdf97", "-o", "faithful", "--max-error", 20, "--no-mesh"]
-    assert run("compress", dem, target, *options).exit_code == 0
-    assert json.loads(run("info", target, "--json").stdout)["faithful"] is True
-    assert "cdf97, faithful to its paper" in run("info", target).stdout
-
-
-def test_methods_without_a_paper_are_not_faithful(tmp_path, dem):
-    done = run("compress", dem, tmp_path / "a.twz", "-o", "faithful")
-    assert "found -o faithful and no --method, expected --method cdf97" in one_line(done, 2)
-
-
-def test_unknown_unit_is_said(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
-    target = tmp_path / "a.twz"
-    done = run("compress", path, target, "--method", "store")
-    assert done.output.count("names no vertical unit") == 1
-    assert "unit unknown" not in done.output
-    assert [line.split() for line in run("info", target).stdout.splitlines()].count(
-        ["unit", "unknown"]
-    ) == 1
-
-
-def test_a_known_unit_stands_behind_each_number_and_no_note_does(tmp_path, dem):
-    done = run("compress", dem, tmp_path / "a.twz", "--method", "store")
-    assert done.stdout.splitlines()[-1].endswith(" m")
-    assert "vertical unit" not in done.output
-
-
 def test_parts_of_a_file_add_up_to_it(twz):
     fields = json.loads(run("info", twz, "--json").stdout)
     parts = fields["parts"]
@@ -357,24 +258,6 @@ def test_parts_of_a_file_add_up_to_it(twz):
     assert all(parts["heights"])
     lines = run("info", twz).stdout.splitlines()
     assert sum(line.strip().startswith("level ") for line in lines) == fields["n_levels"]
-
-
-def test_parts_of_several_levels_together_are_one_number(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    run("compress", dem, target, "--method", "cdf53", "--max-error", "1")
-    parts = json.loads(run("info", target, "--json").stdout)["parts"]
-    assert len(parts["heights"]) == 1
-
-
-def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
-    heights = terrain_like(40, 70)
-    heights[3:5, 60:70] = -9
-    path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
-    target = tmp_path / "a.twz"
-    run("compress", path, target, "--method", "store", "--block", "32")
-    assert "marked by the value -9" in run("info", target).stdout
-    assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
-    assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20
 
 
 def marked(tmp_path, value, dtype, at=(50, 61), low=200, **options):
@@ -393,52 +276,11 @@ def test_an_undeclared_void_is_noted_with_place_and_value(tmp_path, dtype):
     assert f"declare the nodata value {shown}" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("value", "low", "options"),
-    [
-        (-9999, 200, {"nodata": -9999}),
-        (-9999, -9990, {}),  # the bottom of a sea
-        (-9998, 200, {}),
-    ],
-)
-def test_heights_are_not_taken_for_voids(tmp_path, value, low, options):
-    assert marked(tmp_path, value, "int16", low=low, **options).output == ""
-
-
 def test_a_number_that_is_no_height_is_refused_with_its_place(tmp_path):
     done = marked(tmp_path, np.finfo("float32").min, "float32")
     line = one_line(done, 1)
     assert "12 heights are -3.4028235e+38, the first at row 50, column 61" in line
     assert line.endswith("declare the nodata value -3.4028235e+38")
-
-
-def test_recursive_errors_are_never_below_the_measured_ones(tmp_path):
-    target = tmp_path / "a.twz"
-    terrainwave.compress(terrain_like(300, 200), target, max_error=2, method="store", block=32)
-    measured, recursive = (
-        run("info", target, "--errors", kind).stdout.splitlines()[-6:]  # a head and five levels
-        for kind in ("measured", "recursive")
-    )
-    assert measured[0].split() == ["level", "rows", "columns", "largest", "error"]
-    for below, above in zip(measured[1:], recursive[1:], strict=True):
-        assert below.split()[:3] == above.split()[:3]
-        assert float(below.split()[3]) <= float(above.split()[3])
-    assert float(measured[-1].split()[3]) == 2
-
-
-def test_recursive_error_of_a_spike_is_that_of_equation_2(tmp_path):
-    # A bound of 1 makes steps of 3, and 2 of all heights from 1 to 3. Level -2 holds every second
-    # sample, 2 everywhere. The spike at (1, 1) is 2 + 3 * 3. By hand: 1, then 1 + 9 + 1.
-    heights = np.ones((65, 65), "int16")
-    heights[1, 1], heights[1, 33] = 11, 2
-    target = tmp_path / "a.twz"
-    terrainwave.compress(heights, target, max_error=1, method="store", block=32, mesh="none")
-    with terrainwave.open(target) as terrain:
-        coarse = terrain.read(level=-2)
-        assert (terrain.read()[1, 1], coarse.min(), coarse.max()) == (11, 2, 2)
-    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
-    assert fields["level_errors"][-2:] == [11, 1]
-    assert "level_mesh_errors" not in fields
 
 
 @pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
@@ -514,39 +356,6 @@ def test_verify_without_an_original_finds_a_damaged_block(twz):
     assert "problem: " in done.stdout
 
 
-@pytest.mark.parametrize("with_original", [True, False])
-def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
-    done = run("verify", twz, *[dem] * with_original)
-    assert done.exit_code == 0
-    said = "20,960 heights compared" if with_original else "no heights compared: give the ORIGINAL"
-    assert done.stdout.startswith(said)
-    assert done.stderr == ""
-
-
-def test_verify_compares_a_part_alone_and_says_which(tmp_path, dem, twz):
-    with rasterio.open(dem) as dataset:
-        window = Window(30, 20, 50, 40)
-        part = dataset.read(1, window=window)
-        profile = dataset.profile | {
-            "height": 40, "width": 50, "transform": dataset.transform @ Affine.translation(30, 20),
-        }  # fmt: skip
-    (tmp_path / "parts").mkdir()
-    path = tmp_path / "parts" / f"{twz.stem}.tif"
-    with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(part, 1)
-    done = run("verify", twz, path, "--part")
-    assert done.exit_code == 0, done.output
-    said = "heights compared in rows 20 to 59, columns 30 to 79"
-    assert f"{said} of the file: max error" in done.stdout
-    done = run("verify", twz, "--originals", path.parent, "--part")
-    assert done.exit_code == 0, done.output
-    assert said in done.stdout
-    assert json.loads(run("verify", twz, path, "--part", "--json").stdout)["window"] == [
-        20, 30, 40, 50
-    ]  # fmt: skip
-    assert run("verify", twz, path).exit_code == 1
-
-
 @pytest.mark.parametrize(
     ("words", "problem"), [([], "found --part without ORIGINAL"), (["--mesh"], "--part and --mesh")]
 )
@@ -554,37 +363,6 @@ def test_verify_refuses_a_part_without_an_original_and_its_meshes(dem, twz, word
     done = run("verify", twz, *[dem] * bool(words), "--part", *words)
     assert done.exit_code == 2
     assert problem in done.stderr
-
-
-@pytest.mark.parametrize("is_strict", [False, True])
-def test_verify_and_info_say_whether_the_bound_is_strict(tmp_path, is_strict):
-    heights = np.float32(np.round(terrain_like(60, 70, "float32")) / 10)
-    path, target = write_geotiff(tmp_path / "a.tif", heights), tmp_path / "a.twz"
-    options = ["--max-error", 0.3, "--method", "store", *["--strict"] * is_strict]
-    assert run("compress", path, target, *options).exit_code == 0
-    done = run("verify", target, path)
-    assert done.exit_code == 0
-    assert ("every height is within the bound\n" in done.stdout) is is_strict
-    assert ("off by one float spacing more" in done.stdout) is not is_strict
-    assert json.loads(run("verify", target, path, "--json").stdout)["is_strict"] is is_strict
-    with terrainwave.open(target) as terrain:
-        decoded = terrain.read()
-    assert (float(np.abs(decoded - heights).max()) <= 0.3) is is_strict
-    assert ("stored floats may differ by" in run("info", target).stdout) is not is_strict
-
-
-def test_verify_notes_that_it_compared_nothing(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", np.zeros((9, 9), "int16"), nodata=0)
-    assert run("compress", path, tmp_path / "a.twz", "--method", "store").exit_code == 0
-    done = run("verify", tmp_path / "a.twz", path)
-    assert done.exit_code == 0
-    assert done.stdout.startswith("0 heights compared\n")
-    assert done.stderr == "note: no height was compared: no sample is valid in both\n"
-
-
-def test_one_is_not_several():
-    counts = count_of(1, "block"), count_of(2000, "block"), count_of(0, "unit")
-    assert counts == ("1 block", "2,000 blocks", "0 units")
 
 
 # --- mistakes ----------------------------------------------------------------------------------
@@ -733,50 +511,6 @@ def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, exp
     assert not (tmp_path / "a.tif").exists()
 
 
-def test_a_level_of_a_file_with_one_is_told(tmp_path):
-    terrainwave.compress(terrain_like(9, 9), tmp_path / "a.twz", max_error=1, method="store")
-    line = one_line(run("decompress", tmp_path / "a.twz", tmp_path / "a.tif", "--level", -2), 2)
-    assert "found --level -2, expected 0 or -1: the file has one level, the full grid" in line
-
-
-def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
-    assert "outside int16" in line
-    assert len(line) < 200
-
-
-@pytest.mark.parametrize(
-    ("command", "options", "message"),
-    [
-        ("decompress", "--bounds 2,2,1,1", "found --bounds (2.0, 2.0, 1.0, 1.0), expected left"),
-        ("decompress", "--quality 1", "found --quality and a file of method store"),
-        ("mesh", "--max-error 0.1", "found --max-error 0.1, expected at least 1"),
-        ("mesh", "--level 99", "found --level 99"),
-        ("mesh", "--solid 1e6", "found --solid 1e+06"),
-        ("mesh", "--frame native --radius 5", "found --radius 5, but"),
-        ("verify", "--band 2", "found --band 2, expected 1: "),
-    ],
-)
-def test_arguments_that_do_not_fit_are_wrong_usage_in_words_of_the_command_line(
-    tmp_path, dem, twz, command, options, message
-):
-    target = tmp_path / TARGETS.get(command, "x.ply")
-    places = {"compress": [dem, target], "verify": [twz, dem]}.get(command, [twz, target])
-    line = one_line(run(command, *places, *options.split()), 2)
-    assert message in line
-    assert f"(see terrainwave {command} --help)" in line
-    assert "`" not in line
-    assert sorted(os.listdir(tmp_path)) == ["dem.tif", "dem.twz"]
-
-
-def test_functions_speak_of_arguments(twz):
-    with terrainwave.open(twz) as terrain:
-        with pytest.raises(InvalidArgumentError, match=r"^found level 99, expected"):
-            terrain.read(level=99)
-        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 lie outside"):
-            terrain.read(bounds=(1, 1, 2, 2))
-
-
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
 def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
     source = write_geotiff(tmp_path / "a.tif", terrain_like(9, 9), bands={"scales": scale})
@@ -788,16 +522,6 @@ def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
     line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 2)
     assert "found --band 4, expected 1: " in line
-
-
-def test_missing_argument_is_wrong_usage():
-    assert "Missing argument" in one_line(run("compress", "a.tif"), 2)
-
-
-def test_no_command_shows_the_commands():
-    done = run()
-    assert done.exit_code == 2
-    assert "compress" in done.stderr
 
 
 # --- output that nobody takes
@@ -1014,32 +738,6 @@ main()
     assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
 
 
-def test_a_program_that_calls_a_command_gets_signals_after_it(usual_signals, twz):
-    with pytest.raises(SystemExit) as ended:
-        main(["info", str(twz), "--json"])
-    assert ended.value.code == 0
-    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-
-
-def ended_by_sigterm(*_, **__):
-    os.kill(os.getpid(), signal.SIGTERM)
-    interrupts.check()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-def test_an_interruption_names_the_file_that_is_complete(usual_signals, monkeypatch, tmp_path, dem):
-    with monkeypatch.context() as patched:
-        patched.setattr(
-            "terrainwave.container.targets.publication._sync_directory", ended_by_sigterm
-        )
-        done = run("compress", dem, tmp_path / "a.twz", "-q")
-    assert (done.exit_code, done.stderr.strip()) == (
-        143, f"terrainwave: terminated; {tmp_path / 'a.twz'} is complete",
-    )  # fmt: skip
-    assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     usual_signals, monkeypatch, tmp_path, dem
@@ -1052,24 +750,6 @@ def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     assert done.exit_code == 143
     assert done.stderr.strip() == "terrainwave: terminated; the target is untouched"
     assert not (tmp_path / "a.twz").exists()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-@pytest.mark.parametrize(
-    ("command", "function"),
-    [
-        ("view", "terrainwave.render.window.viewer.run"),
-        ("verify", "terrainwave.verify"),
-        ("info", "terrainwave.open"),
-    ],
-)
-def test_an_interruption_of_a_command_without_a_target_names_none(
-    usual_signals, monkeypatch, tmp_path, dem, command, function
-):
-    terrainwave.compress(dem, tmp_path / "a.twz")
-    monkeypatch.setattr(function, ended_by_sigterm, raising=False)
-    done = run(command, tmp_path / "a.twz", *(["-q"] * (command != "info")))
-    assert (done.exit_code, done.stderr.strip()) == (143, "terrainwave: terminated")
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
@@ -1101,16 +781,6 @@ def test_hostile_strings_in_a_file_reach_the_terminal_as_plain_text(tmp_path):
         assert "\x07" not in text
         assert "\u202e" not in text
     assert "[link=http://x]" in shown.output.replace("\n", "")
-
-
-def test_hostile_error_message_is_one_plain_line(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise CorruptStreamError(HOSTILE)
-
-    path = tmp_path / "a.twz"
-    path.write_bytes(b"\x89TWZ")
-    monkeypatch.setattr(terrainwave, "open", refuse)
-    assert "\x1b" not in one_line(run("info", path), 1)
 
 
 # --- progress ----------------------------------------------------------------------------------
@@ -1150,21 +820,6 @@ def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, caps
     ]
 
 
-@pytest.mark.full
-@pytest.mark.large  # plain Python compiles nothing
-def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    command = [sys.executable, "-m", "terrainwave", "compress", str(dem), "--method", "store"]
-    told = []
-    for name in ("a.twz", "b.twz"):
-        done = subprocess.run(
-            [*command, str(tmp_path / name)], env=env, capture_output=True, text=True, check=True
-        )
-        told.append(done.stderr.count("compiling kernels for this machine, once"))
-        assert "compiling" not in done.stdout
-    assert told == [1, 0]
-
-
 # --- completion ---------------------------------------------------------------------------------
 
 
@@ -1183,23 +838,6 @@ def test_completion_knows_commands_options_and_values():
     assert completed("comp") == [("plain", "compress")]
     assert completed("compress", "--skip") == [("plain", "--skip-existing")]
     assert ("plain", "predictive") in completed("compress", "--method", "p")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("compress", "a"), ("compress", "a.tif", "b"), ("decompress", "a"), ("verify", "a"),
-        ("info", "a"), ("patch", "a.twz", "n"), ("render", "a"), ("render", "a.twz", "p"),
-        ("mesh", "a"), ("mesh", "a.twz", "b"), ("serve", "a"), ("tiles", "a"), ("view", "a"),
-    ],
-)  # fmt: skip
-def test_names_of_files_are_completed_by_the_shell(words):
-    assert completed(*words) == [("file", words[-1])]
-
-
-@pytest.mark.parametrize("words", [("compress", "--to", "d"), ("tiles", "a.twz", "d")])
-def test_names_of_directories_are_completed_by_the_shell(words):
-    assert completed(*words) == [("dir", words[-1])]
 
 
 @pytest.mark.full
@@ -1243,13 +881,6 @@ except SystemExit as end:
     )
     assert done.returncode == 0, done.stderr
     assert "terrainwave" in done.stdout
-
-
-def test_every_command_has_help():
-    for name in main.commands:
-        done = run(name, "--help")
-        assert done.exit_code == 0
-        assert "Usage: terrainwave" in done.stdout
 
 
 # --- demo ------------------------------------------------------------------------------------
