@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from ext.browser import chromium, console, wait_until
 from ext.rasters import hills, write_twz
-from ext.static_server import KNOWN, static_server
+from ext.static_server import static_server
 
 import terrainwave
 from terrainwave.ext.publish import publish_site
@@ -130,44 +130,9 @@ def test_the_page_draws_the_terrain(site, browser, tmp_path, host):
 
 # What a host does wrong
 
-NEEDED = "The host must have all files of this page, and send .js files as JavaScript"
-
 
 def told(browser):
     return browser.find_element("id", "message").text
-
-
-@pytest.mark.full
-def test_a_host_that_does_not_know_javascript_is_told_what_to_send(site, browser):
-    types = {ending: kind for ending, kind in KNOWN.items() if ending != ".js"}
-    with static_server(site, types=types) as server:
-        show(browser, server.address, "failed")
-        sent = f"the host sends {server.address}/static/published.js as application/octet-stream."
-        assert told(browser) == (
-            f"This page cannot start: {sent} {NEEDED} (Content-Type: text/javascript)."
-        )
-    with static_server(site, types=types, headers={"X-Content-Type-Options": "nosniff"}) as server:
-        browser.get(server.address)
-        blocked = browser.find_element("id", "blocked")
-        assert "the host must send .js files as JavaScript" in blocked.text.replace("\n", " ")
-        assert not browser.find_element("id", "status").is_displayed()
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", ["static/page.js", "static/colours.js", "terrainwave/src/url.js"])
-def test_a_module_that_the_host_lacks_is_named(site, browser, tmp_path, name):
-    shutil.copytree(site, tmp_path / "site")
-    (tmp_path / "site" / name).unlink()
-    with static_server(tmp_path / "site") as server:
-        show(browser, server.address, "failed")
-        if name.startswith("static"):
-            line = f"the host answers 404 for {server.address}/{name}."
-            wait_until(
-                browser, f"document.getElementById('message').textContent.includes('{line}')"
-            )
-            assert NEEDED in told(browser)
-        else:  # a part of the worker, which ends the first tile
-            assert "module of the worker" in told(browser)
 
 
 @pytest.mark.full
@@ -178,10 +143,3 @@ def test_a_module_that_was_cut_is_named(site, browser, tmp_path):
     with static_server(tmp_path / "site") as server:
         show(browser, server.address, "failed")
         assert f"This page cannot start: {server.address}/static/colours.js" in told(browser)
-
-
-@pytest.mark.full
-def test_the_page_of_a_folder_opened_as_a_file_names_a_server(site, browser):
-    show(browser, (site / "index.html").as_uri(), "failed")
-    assert "browsers load no modules from files" in told(browser)
-    assert "python -m http.server" in told(browser)

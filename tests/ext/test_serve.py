@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from commands import one_line, run, start
+from commands import start
 from ext.browser import served
 from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
@@ -27,7 +27,6 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.catalog import origin_of
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -186,14 +185,6 @@ def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
         assert f"expected 0 … {MAX_ZOOM}" in beyond.json()["detail"]
 
 
-def test_tiles_off_the_terrain_are_empty(hilly):
-    with client_of(hilly) as client:
-        assert client.get("/hills/rgb/10/0/0.png").status_code == 204
-        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
-        far = client.get("/hills/height", params={"lon": 100, "lat": 0}).json()
-    assert far["height"] is None
-
-
 # Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
 
 PLACES = [(46.2, 8.2), (46.31, 8.44), (0.0, 100.0), (46.0 + 0.4 / 65, 8.0 + 1e-9)]
@@ -292,27 +283,6 @@ def test_another_interpolation_and_half_a_place_are_refused(hilly):
     assert unknown.status_code == 404
 
 
-def test_as_many_places_as_allowed_are_answered_in_their_order(hilly):
-    rng = np.random.default_rng(4)
-    lat, lon = rng.uniform(46.01, 46.39, 10_000), rng.uniform(8.01, 8.49, 10_000)
-    places = [{"latitude": a, "longitude": b} for a, b in zip(lat, lon, strict=True)]
-    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
-        found = client.post("/hills/height", json={"locations": places}).json()["results"]
-        expected = terrain.sample(np.stack([lon, lat], axis=1))
-    assert [result["elevation"] for result in found] == pytest.approx(expected.tolist(), abs=1e-6)
-
-
-def test_heights_go_round_a_whole_globe(tmp_path):
-    heights = (np.arange(90)[None] + 200 * np.arange(45)[:, None]).astype(np.int16)
-    path = write_twz(tmp_path, heights, (-180, -90, 180, 90), max_error=0)
-    text = "2,-180|2,180|2,-178|2,178|2,538"
-    with client_of(path) as client:
-        answer = client.get("/hills/height", params={"locations": text}).json()
-    found = [result["elevation"] - 200 * 21.5 for result in answer["results"]]
-    # The last column has 89, the first 0: half way between them 44.5.
-    assert found == pytest.approx([44.5, 44.5, 0, 89, 89])
-
-
 @pytest.mark.parametrize(
     ("path", "status"),
     [
@@ -359,15 +329,6 @@ def test_what_is_said_of_a_file_has_no_path(hilly):
     assert described["name"] == "hills"
     assert described["rows"] == 65
     assert described["error"] == 2
-
-
-def test_another_body_has_no_sea(tmp_path):
-    path = write_twz(tmp_path, hills(33, 33) - 300, BOUNDS, crs=None, max_error=2)
-    for radius, ramp in ((None, "tints"), (1737400.0, "grey")):
-        with pytest.warns(TerrainwaveWarning, match="taken for them"):
-            client = client_of(path, radius=radius)
-        with client:
-            assert client.get("/terrains.json").json()[0]["ramp"] == ramp
 
 
 def test_a_tile_that_the_client_has_is_not_sent_again(hilly):
@@ -535,11 +496,6 @@ def test_head_is_answered_as_get_without_a_body(hilly, path):
         assert head.headers.get(name) == whole.headers.get(name)
 
 
-def test_the_file_itself_has_the_media_type_of_the_format(hilly):
-    with client_of(hilly) as client:
-        assert client.get("/hills.twz").headers["content-type"] == "application/vnd.terrainwave"
-
-
 def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
     path = write_twz(tmp_path, hills(33, 33) - 10700, BOUNDS, max_error=0)
     with terrainwave.open(path) as terrain:
@@ -631,13 +587,6 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
     assert ((shares > 0) & (shares < 255)).any()
 
 
-def test_a_tile_without_voids_is_not_painted(hilly):
-    with client_of(hilly) as client:
-        z = 14
-        x, y = tile_at(z, 8.25, 46.2)
-        assert client.get(f"/hills/voids/{z}/{x}/{y}.png?color=dbe4e8").status_code == 204
-
-
 def test_the_file_itself_is_served_with_ranges(hilly):
     data = hilly.read_bytes()
     with client_of(hilly) as client:
@@ -648,19 +597,6 @@ def test_the_file_itself_is_served_with_ranges(hilly):
     with served(make_app([str(hilly)])) as address, terrainwave.open(hilly) as terrain:
         with terrainwave.open(f"{address}/hills.twz") as remote:
             np.testing.assert_array_equal(remote.read((5, 6, 7, 8)), terrain.read((5, 6, 7, 8)))
-
-
-def test_whose_the_data_are_is_told_in_short_lines():
-    tags = {
-        "LICENSE": "public\ndomain", "TIFFTAG_COPYRIGHT": "<b>us</b>", "lic": "x" * 5000,
-        "AREA_OR_POINT": "Area", "slice": "3", "source": "",
-    }  # fmt: skip
-    found = origin_of(tags)
-    assert list(found) == ["LICENSE", "TIFFTAG_COPYRIGHT", "lic"]
-    assert "\n" not in found["LICENSE"]
-    assert found["TIFFTAG_COPYRIGHT"] == "<b>us</b>"
-    assert len(found["lic"]) == 400
-    assert len(origin_of({f"source {k}": "x" for k in range(99)})) == 8
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")
@@ -678,21 +614,6 @@ def test_ctrl_c_says_stopped(hilly):
     assert said.strip() == "stopped"
     assert "Traceback" not in complaint
     assert "target" not in complaint
-
-
-@pytest.mark.full
-@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
-def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
-    server = start("serve", hilly, "--port", "0")
-    try:
-        server.stdout.readline()
-        server.send_signal(signal.SIGTERM)
-        said, complaint = server.communicate(timeout=300)
-    finally:
-        server.kill()
-    assert server.returncode == 128 + signal.SIGTERM
-    assert said.strip() == "stopped"
-    assert complaint == ""
 
 
 @pytest.mark.full
@@ -719,24 +640,4 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     assert "No such file" in answers[2]["error"]
 
 
-def test_serve_without_files_is_wrong_usage():
-    assert "FILES" in one_line(run("serve"), 2)
-
-
 # Where nobody knows the unit, nobody says metres.
-
-CRS_WITH_HEIGHTS = "EPSG:4979"  # degrees, and metres above the ellipsoid
-
-
-@pytest.mark.parametrize(
-    ("units", "crs", "said"),
-    [("m", "EPSG:4326", "m"), ("ft", "EPSG:4326", "m"), (None, "EPSG:4326", None),
-     (None, CRS_WITH_HEIGHTS, "m")],
-)  # fmt: skip
-def test_answers_name_metres_only_where_the_unit_is_known(tmp_path, units, crs, said):
-    path = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=crs, units=units)
-    with client_of(path) as client:
-        assert client.get("/hills/height", params={"lon": 8.2, "lat": 46.2}).json()["units"] == said
-        assert client.get("/hills/tiles.json").json()["units"] == said
-        (layer,) = client.get("/terrains.json").json()
-    assert layer["units"] == said

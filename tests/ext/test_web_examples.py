@@ -95,17 +95,6 @@ def test_maplibre_draws_the_terrain(twz, folder, browser, major):
         check_requests(server)
 
 
-def test_cesium_draws_the_terrain(twz, folder, browser):
-    with static_server(folder) as server:
-        shown(browser, server, "cesium")
-        wait_until(browser, "globalThis.widget?.scene.globe.tilesLoaded")
-        asked = "widget.scene.globe.getHeight(Cesium.Cartographic.fromDegrees({}, {}))"
-        check_heights(browser, twz, asked)
-        wait_until(browser, "widget.scene.globe.tilesLoaded")
-        check_picture(browser)
-        check_requests(server)
-
-
 def test_deckgl_draws_the_terrain(twz, folder, browser):
     """A picked place is read from the depth that was drawn."""
     with static_server(folder) as server:
