@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from terrainwave.render.look.drape_detail import DrapeDetail, is_near, place_of_square, square_near
+from terrainwave.render.look.drape_detail import DrapeDetail, place_of_square, square_near
 from terrainwave.render.scene.camera import Camera
 from terrainwave.render.scene.frame import Frame
 
@@ -13,28 +13,6 @@ from terrainwave.render.scene.frame import Frame
 FRAME = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (30.0, 0.0, -14985.0, 0.0, -30.0, 14985.0),
               (1000, 1000), (0.0, 500.0))  # fmt: skip
 WHOLE = (0.0, 0.0, 1000.0, 1000.0)
-
-
-def test_the_square_lies_ahead_and_grows_with_the_height():
-    down = square_near(Camera((100.0, 200.0, 900.0), 90, -90), 300.0)
-    assert down == pytest.approx((100, 200, 900))
-    ahead = square_near(Camera((100.0, 200.0, 900.0), 90, -45), 300.0)
-    assert ahead == pytest.approx((400, 200, 900))
-    level = square_near(Camera((100.0, 200.0, 900.0), 90, 10), 600.0)
-    assert level == pytest.approx((1300, 200, 1800))
-    assert is_near(down, square_near(Camera((150.0, 200.0, 900.0), 0, -90), 310.0))
-    assert not is_near(down, ahead)
-    assert not is_near(down, square_near(Camera((100.0, 200.0, 900.0), 90, -90), 600.0))
-
-
-def test_a_coarse_photo_fills_the_texture_with_more_ground():
-    photo = SimpleNamespace(place=WHOLE, finer=4.0, part=lambda place, size: (place, size))
-    waiting = []
-    background = SimpleNamespace(start=lambda work, then: waiting.append(work))
-    DrapeDetail(photo, 2.0, background, None).tick(Camera((0.0, 0.0, 0.0), 0, -90), 20.0, FRAME)
-    place, size = waiting[0]()  # 2048 texels, four to a pixel
-    assert place[2:] == pytest.approx((512, 512))
-    assert size == (2048, 2048)
 
 
 def test_its_place_is_in_pixels_of_the_grid_and_within_the_photo():

@@ -37,15 +37,6 @@ def test_every_small_raster_has_a_first_view(shape, kind):
                     assert frames.n_triangles > 0
 
 
-def test_a_plain_array_is_not_on_earth():
-    data = twz_bytes(np.round(hills(70, 80)).astype(np.int16), max_error=1)
-    with Terrain(io.BytesIO(data), threads=1) as terrain:
-        frame = frame_of(terrain)
-        assert frame.metres == (1.0, 1.0, 1.0)
-        low, high = frame.box
-        assert (high - low)[:2].tolist() == [79, 69]
-
-
 def test_degrees_become_metres_of_the_ellipsoid():
     """A degree at 60 degrees north: 111 412.9 m of latitude, 55 800.2 m of longitude (WGS 84)."""
     import rasterio
