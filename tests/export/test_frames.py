@@ -9,13 +9,12 @@ from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, steepest, to_frame
+from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.place.ellipsoid import EARTH
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
-FOOT_US = 1200 / 3937
 
 
 def degrees(**options):
@@ -41,20 +40,10 @@ def test_local_coordinates_are_counted_from_the_middle():
     assert local.attributes["frame"]["centre"] == pytest.approx([10 + 5.5 / 3600, 45 - 4.5 / 3600])
 
 
-def test_local_heights_stay_heights():
-    mesh = degrees()
-    np.testing.assert_allclose(to_frame(mesh).points[:, 2], mesh.points[:, 2])
-
-
 @pytest.mark.parametrize(("crs", "frame"), [("EPSG:4326", "local"), ("EPSG:32633", "native")])
 def test_the_default_is_local_for_degrees_and_native_else(crs, frame):
     mesh = grid_mesh(hills(3, 3), SECONDS, crs=crs)
     assert to_frame(mesh).attributes["frame"]["name"] == frame
-
-
-def test_native_is_the_crs():
-    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633", units="ft")
-    np.testing.assert_allclose(to_frame(mesh, "native").points, mesh.points)
 
 
 @pytest.mark.parametrize("frame", ["local", "ecef"])
@@ -66,14 +55,6 @@ def test_feet_become_metres_and_the_error_stays_in_feet(frame):
     of_globe = found.attributes.get("sag", 0.0) / 0.3048
     assert (of_globe > 0) == (frame == "ecef")
     assert found.error == 4.0 + of_globe
-
-
-def test_state_plane_feet_become_metres():
-    # EPSG:2229 counts in US survey feet
-    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:2229", units="m")
-    assert extent(to_frame(mesh, "local"))[:2] == pytest.approx(
-        [4 * 30 * FOOT_US, 3 * 30 * FOOT_US]
-    )
 
 
 def test_z_scale_multiplies_heights():
@@ -125,15 +106,6 @@ def test_ecef_agrees_with_proj():
     )
 
 
-def test_ecef_of_a_projected_mesh_goes_through_its_geographic_system():
-    from rasterio.warp import transform
-
-    mesh = grid_mesh(hills(6, 5), UTM, crs="EPSG:32633", units="m")
-    lon, lat = transform(CRS.from_epsg(32633), CRS.from_epsg(4326), *mesh.points.T[:2])
-    expected = EARTH.geocentric(np.column_stack([lon, lat, mesh.points[:, 2]]))
-    np.testing.assert_allclose(to_frame(mesh, "ecef").points, expected, rtol=0, atol=1e-4)
-
-
 def test_ecef_without_a_crs_is_refused():
     with pytest.raises(InvalidHeightsError, match="no coordinate reference system"):
         to_frame(grid_mesh(hills(3, 3), UTM), "ecef")
@@ -182,14 +154,6 @@ def test_a_radius_takes_the_place_of_the_earth():
     with pytest.warns(TerrainwaveWarning, match="on a sphere of 1.7374e"):
         found = to_frame(mesh, radius=1737400)
     assert extent(found)[0] == pytest.approx(0.3 * math.radians(1737400), rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    "mesh", [grid_mesh(hills(3, 3), UTM), grid_mesh(hills(3, 3), SECONDS, is_placed=False)]
-)
-def test_what_cannot_be_degrees_is_left_as_it_is(mesh):
-    assert to_frame(mesh).attributes["frame"]["name"] == "native"
-    assert not find_place(mesh).in_degrees
 
 
 def test_the_pole_has_no_local_frame():
