@@ -192,17 +192,6 @@ def test_fitted_tables_make_a_strange_surface_smaller_within_the_bound(step):
     assert not np.array_equal(other, decoded)
 
 
-@pytest.mark.large
-def test_fitting_twice_gives_the_same_bytes():
-    heights = rough((401, 401), seed=5)
-    first, second = fitted_to(heights, 3)[0], fitted_to(heights.copy(), 3)[0]
-    assert first.file_tables == second.file_tables
-
-
-def test_small_rasters_get_no_tables():
-    assert fitted_to(rough((100, 100)), 3)[0].file_tables == b""
-
-
 def test_extreme_file_tables_cannot_overflow():
     shape = (64, 64)
     rows, cols = np.mgrid[: shape[0], : shape[1]]

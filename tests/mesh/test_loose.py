@@ -1,18 +1,15 @@
 """Meshes of zero trees alone: watertight, once over their area, their errors true."""
 
-import json
 import os
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import area_problems, cases, make_case, write_case
 from render.scenes import hills
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.loose import LooseMesher
@@ -50,14 +47,6 @@ def test_a_loose_mesh_is_watertight_and_tells_its_error(case, kind, tmp_path_fac
             region = Region(0, 0, (n_rows - 1) * stride + 1, (n_cols - 1) * stride + 1)
             problems = area_problems(terrain, case, mesh, region, level)
             assert [problem for problem in problems if "not covered" not in problem] == []
-
-
-def test_a_loose_mesh_is_further_off(smooth):
-    with terrainwave.open(smooth) as terrain:
-        assert terrain.mesh_kind == "zerotree-layer"
-        loose, guaranteed = terrain.mesh(guarantee=False), terrain.mesh(level=-2)
-        assert loose.error > guaranteed.error
-        assert 0.9 < loose.share < 1
 
 
 @pytest.mark.full
@@ -125,20 +114,6 @@ def test_a_loose_mesh_has_no_goal_and_no_finest_level(smooth, options):
             terrain.mesh(guarantee=False, **options)
 
 
-def test_the_command_writes_a_loose_mesh_and_says_its_error(smooth, tmp_path):
-    run = CliRunner().invoke(main, ["mesh", str(smooth), str(tmp_path / "m.ply"), "--loose"])
-    assert run.exit_code == 0, run.output
-    with terrainwave.open(smooth) as terrain:
-        mesh = terrain.mesh(guarantee=False)
-    assert f"{mesh.n_triangles:,} triangles" in run.output
-    assert f"measured error {mesh.error:.6g}" in run.output
-    assert f"{mesh.share:.1%} of the samples are within the tolerance" in run.output
-    refused = ["mesh", str(smooth), str(tmp_path / "n.ply"), "--loose", "--max-error", "3"]
-    run = CliRunner().invoke(main, refused)
-    assert run.exit_code == 2
-    assert "found --max-error with --loose" in run.output
-
-
 @pytest.mark.parametrize("kind", ["zerotree-plain", "rqt"])
 def test_a_block_alone_keeps_any_tolerance(smooth, kind):
     with terrainwave.open(smooth) as terrain:
@@ -150,26 +125,6 @@ def test_a_block_alone_keeps_any_tolerance(smooth, kind):
             assert apart <= tolerance
             counts.append(len(mesh.triangles))
         assert counts[0] > counts[-1]
-
-
-def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
-    levels = json.loads(
-        CliRunner().invoke(main, ["info", str(smooth), "--meshes", "--json"]).output
-    )
-    levels = levels["meshes"]
-    with terrainwave.open(smooth) as terrain:
-        for found, shape in zip(levels, terrain.info().level_shapes, strict=True):
-            mesh = terrain.mesh(level=found["level"], optimise=0)
-            # The blocks' own, which reach past the raster's edge, where the mesh is cut off.
-            assert found["n_triangles"] == pytest.approx(mesh.n_triangles, rel=0.2, abs=40)
-            assert 0 < found["label_bits"] < 2
-            assert tuple(shape) == terrain.level_shape(found["level"])
-        is_finest = [found["significant"] is None for found in levels]
-        assert is_finest == [False, False, False, True]
-        assert 0 < levels[1]["significant"] < 0.5
-        assert levels[2]["n_loose"] < levels[2]["n_triangles"]
-    table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
-    assert f"{levels[3]['n_triangles']:,}" in table
 
 
 def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
