@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.cli import output
-from terrainwave.cli.commands.compress import compress as command
 from terrainwave.cli.options import declared
 from terrainwave.container.metadata import ORIGIN
 from terrainwave.errors import InvalidArgumentError
@@ -103,11 +101,6 @@ def test_keywords_of_functions_are_the_declared_fields(function, options):
     assert defaults.items() <= keywords_of(function).items()
 
 
-def test_every_option_of_compress_with_help_is_one_of_the_command():
-    shown = {one.name for one in Options.options() if one.metadata["help"]}
-    assert shown <= {parameter.name for parameter in command.params}
-
-
 def test_the_plugin_of_qgis_offers_the_methods_and_formats_that_are_declared():
     """It imports nothing of the package, so it has their names once more."""
     plugin = ast.parse((ROOT / "qgis/terrainwave_plugin/algorithms.py").read_text("utf-8"))
@@ -119,9 +112,3 @@ def test_the_plugin_of_qgis_offers_the_methods_and_formats_that_are_declared():
     (method,) = (one for one in Options.options() if one.name == "method")
     assert tuple(ast.literal_eval(named["METHODS"])) == method.metadata["kind"].choices
     assert ast.literal_eval(named["MESH_ENDINGS"]) == MESH_ENDINGS
-
-
-def test_the_page_on_meshes_has_a_row_of_each_format():
-    page = (ROOT / "docs/meshes.md").read_text("utf-8")
-    first = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `.")]
-    assert sorted(re.findall(r"`(\.\w+)`", " ".join(first))) == sorted(MESH_ENDINGS)

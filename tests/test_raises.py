@@ -34,8 +34,6 @@ NOT_SEEN = {
     ("tri.stored_kinds", "StoredKind.mesh", "CorruptStreamError"),
     ("write.compress", "compress", "ClusterError"),
 }
-# Nearer is what only other arguments of the function that is called could bring about.
-FARTHER = {("export.ellipsoidal", "above_ellipsoid")}
 
 
 class Place(NamedTuple):
@@ -169,28 +167,3 @@ def test_each_exception_that_a_docstring_names_is_raised(package, documented):
         for name in set(names) - package.raised(place).keys()
     }
     assert wrong == NOT_SEEN
-
-
-def test_arguments_that_cannot_be_are_told_apart_from_heights(package, documented):
-    """Where both may be raised, a docstring names at least the one that lies nearer."""
-    both = ("InvalidArgumentError", "InvalidHeightsError")
-    wrong = []
-    for place, names in documented.items():
-        far = {name: number for name, number in package.raised(place).items() if name in both}
-        nearest = [name for name in far if far[name] == min(far.values())]
-        nearest += [name for name in both if (*place, name) in NOT_SEEN]
-        if place not in FARTHER and set(names) & set(both) and not set(names) & set(nearest):
-            wrong.append(f"{place.module}: {place.name} raises {' or '.join(nearest)}")
-    assert not wrong
-
-
-def test_what_a_function_raises_itself_is_named_if_anything_is(package, documented):
-    wrong = []
-    for place, names in documented.items():
-        node, _ = package.functions[place]
-        for part in ast.walk(node):
-            call = part.exc if isinstance(part, ast.Raise) else None
-            name = getattr(getattr(call, "func", None), "id", None)
-            if name in OURS and not any(issubclass(OURS[name], OURS[own]) for own in names):
-                wrong.append(f"{place.module}: {place.name} raises {name}, line {part.lineno}")
-    assert not wrong
