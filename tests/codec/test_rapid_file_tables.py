@@ -187,6 +187,7 @@ def test_frequencies_that_leave_nothing_to_details_of_zero_are_refused(table):
     refused(tables, f"table {table} leave 0 slots")
 
 
+@pytest.mark.large
 def test_every_prefix_and_an_extra_byte_are_refused():
     section = pack_file_tables(some_tables())
     for length in range(2, len(section)):

@@ -254,7 +254,7 @@ def map_program(bundler, major):
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("bundler", "major"),
-    [("vite", 6), ("vite", 5), ("webpack", 6), ("esbuild", 6), ("rollup", 6), ("esbuild iife", 5)],
+    [("vite", 6), ("vite", 5), ("esbuild", 6), ("rollup", 6), ("esbuild iife", 5)],
 )
 def test_a_bundled_map_draws_the_terrain(project, browser, twz, bundler, major):
     release = HERE / "node_modules" / ("maplibre-gl" if major == 6 else "maplibre-gl-5")

@@ -5,7 +5,7 @@ import re
 import subprocess
 
 import pytest
-from gdal_driver.built import ROOT, error_lines, good, run
+from gdal_driver.built import ROOT, error_lines, good, run, turn
 
 from terrainwave import __version__
 
@@ -34,7 +34,8 @@ def test_the_driver_is_installed_below_a_prefix_and_gdal_finds_it_there(tmp_path
 
 
 def test_the_debian_package_puts_the_driver_where_gdal_looks(tmp_path):
-    told = make("native-deb")
+    with turn():
+        told = make("native-deb")
     (name,) = re.findall(r"^dist/(libgdal-twz_.*\.deb)$", told, re.M)
     version = good("gdal-config", "--version").strip()
     ours = __version__.replace(".dev", "~dev")

@@ -110,8 +110,7 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
 
 @pytest.mark.large
 @pytest.mark.full
-@pytest.mark.parametrize("void", ["none", "disc", "corners"])
-@pytest.mark.parametrize("share", [1, 4])
+@pytest.mark.parametrize(("void", "share"), [("none", 1), ("disc", 4), ("corners", 1)])
 def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
     """With `share` 1 coarse blocks are taken that may then fail, and are split again."""
     levels = []

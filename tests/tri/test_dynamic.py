@@ -320,6 +320,7 @@ def places_of(frame):
     ]
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("has_void", [False, True])
 @pytest.mark.parametrize("error", ["measured", "paper"])
 def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
@@ -342,6 +343,7 @@ def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
     assert len(counts) > 3
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [6, 7, 8]])
 def test_where_a_mesh_is_missing_triangles_are_those_of_the_whole_raster(missing):
     """So they are within the same error: nodes in rings are measured with all around them."""
@@ -364,6 +366,7 @@ def test_where_a_mesh_is_missing_triangles_are_those_of_the_whole_raster(missing
     assert n_found > 300
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [0, 1, 2, 3, 5, 6, 7, 8]])
 def test_where_a_mesh_is_missing_the_others_reach_over_its_trees_and_name_where_they_end(missing):
     """No triangle has a neighbour too many; all that the others own is covered once."""
@@ -434,6 +437,7 @@ def test_the_surface_between_samples_counts_half_way_to_those_around():
         assert bound.tolist() == [expected, 0.0, expected]
 
 
+@pytest.mark.large
 def test_the_budget_is_kept_and_tau_sinks_again():
     mesh = DynamicMesh(rough((32, 32)), sample_matrix=NORTH_UP, patch=16)
     eye = eye_of(Camera((16, -16, 30), 0, -80, 60))

@@ -381,6 +381,7 @@ def verified_part(folder, *args, **profile):
     return verify(folder / "a.twz", part_raster(folder, *args, **profile), part=True)
 
 
+@pytest.mark.large
 @pytest.mark.few(1)
 def test_a_part_is_compared_where_it_was_patched(patched, tmp_path):
     report = verified_part(tmp_path, patched)
@@ -390,17 +391,20 @@ def test_a_part_is_compared_where_it_was_patched(patched, tmp_path):
     assert verify(tmp_path / "a.twz", tmp_path / "old.tif").window is None
 
 
+@pytest.mark.large
 def test_a_sample_beyond_the_bound_is_named_by_its_place_in_the_file(patched, tmp_path):
     patched[7, 5] += 30
     (problem,) = verified_part(tmp_path, patched).problems
     assert "the worst, at row 37, column 45, by" in problem
 
 
+@pytest.mark.large
 def test_a_void_of_a_part_that_the_file_has_not_is_a_problem(patched, tmp_path):
     patched[9, 9] = -9999
     assert "void in one of the two" in verified_part(tmp_path, patched).problems[0]
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 16, "blockysize": 16}])
 @pytest.mark.filterwarnings("ignore:.*turned to its order")
 def test_a_part_in_another_order_of_rows_is_turned(patched, tmp_path, layout):
@@ -411,6 +415,7 @@ def test_a_part_in_another_order_of_rows_is_turned(patched, tmp_path, layout):
     assert not verified_part(tmp_path, patched, turned, **layout).ok
 
 
+@pytest.mark.large
 @pytest.mark.few(4)
 @pytest.mark.parametrize(
     "transform",
@@ -431,6 +436,7 @@ def test_a_part_off_the_grid_or_beyond_the_file_is_not_compared(patched, tmp_pat
     assert report.window is None
 
 
+@pytest.mark.large
 @pytest.mark.parametrize(
     ("profile", "problem"),
     [({"crs": "EPSG:32632"}, "the CRS is"), ({"bands": {"scales": 0.1}}, "scale is 1.0")],
