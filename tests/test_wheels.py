@@ -177,17 +177,6 @@ def test_a_build_that_cannot_have_the_library_ends_with_one_line(tmp_path, how, 
     assert "Traceback" not in run.stderr
 
 
-@full
-def test_without_a_compiler_the_wheel_is_for_any_platform(tmp_path):
-    source = copied(tmp_path / "source")
-    run, wheel = build(source, tmp_path, "auto", "--no-build-isolation", CC="no-compiler")
-    assert run.returncode == 0, run.stderr
-    names, note, tags = inside(wheel)
-    assert libraries(names) == []
-    assert note == {"missing": "found no C compiler (no-compiler) on the PATH"}
-    assert tags == ["py3-none-any"]
-
-
 def test_what_the_digest_covers_is_what_the_library_is_built_of(tmp_path):
     """A change of any file that is compiled, or of an annex, makes it another library."""
     source = copied(tmp_path)

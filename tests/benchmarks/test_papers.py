@@ -39,29 +39,3 @@ def test_equation_one_takes_four_by_four_samples_and_lies_in_their_middle():
     # Past the edge samples are repeated, and so is what ends half a sample outside.
     assert (zhang.paper_level(np.full((5, 7), 9.0), 4) == 9).all()
     assert zhang.paper_level(np.ones((5, 7)), 2).shape == (3, 4)
-
-
-def test_blocks_are_measured_where_their_triangles_are(tmp_path):
-    from rasterio.transform import Affine
-
-    from benchmarks.rasters import Raster, write_geotiff
-
-    random = np.random.default_rng(3)
-    heights = np.round(200 * random.random((150, 200))).cumsum(1).astype(np.int16)
-    mask, path = np.ones(heights.shape, dtype=bool), tmp_path / "a.tif"
-    transform = Affine(30, 0, 500000, 0, -30, 5200000)
-    write_geotiff(Raster("a", heights, mask, 1.0, None, transform, "EPSG:32633"), path)
-    with zhang.lossless(path, tmp_path) as terrain:
-        levels = zhang.Levels(terrain)
-        grid = levels.terrain.grid
-        for order in zhang.ORDERS:
-            errors, bounds = levels.block_errors("ours", order), levels.bounds(order)
-            assert errors.keys() == bounds.keys()
-            # The viewer's bounds hold, and of the level above the finest they are exact.
-            assert all(errors[block] <= bounds[block] * (1 + 1e-6) for block in bounds)
-            second = [block for block in bounds if block.level == grid.k_max - 1]
-            assert [errors[b] for b in second] == pytest.approx(
-                [bounds[b] for b in second], rel=1e-4
-            )
-        theirs = levels.block_errors("paper", 4)
-        assert all((theirs[block] == 0) == (block.level == grid.k_max) for block in theirs)

@@ -293,17 +293,6 @@ def test_a_damaged_manifest_is_as_none(tmp_path, dems, damage):
     assert batch_of(dems, out) == (["skipped"] * 3, [])
 
 
-def test_a_line_that_was_cut_off_spoils_no_other(tmp_path, dems, reads):
-    out = tmp_path / "out"
-    batch_of(dems, out)
-    manifest = out / ".terrainwave-manifest.jsonl"
-    manifest.write_bytes(manifest.read_bytes()[:-20])
-    batch_of(dems, out)
-    reads.clear()
-    assert batch_of(dems, out) == (["skipped"] * 3, [])
-    assert reads == []
-
-
 def test_rasters_are_skipped_only_if_they_are_of_the_same_file_and_options(tmp_path, dems, files):
     back = tmp_path / "back"
 

@@ -17,7 +17,6 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
-from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
@@ -27,7 +26,6 @@ from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import StorageError
-from terrainwave.grid.quadtree import Block
 from terrainwave.progress import Progress
 
 REPOSITORY = Path(__file__).parent.parent.parent
@@ -116,29 +114,6 @@ def test_compress_prints_json(tmp_path, dem):
     assert fields["method"] == "store"
 
 
-def test_options_of_compress_reach_the_file(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    options = "--method store --block 64 --effort fast -o border_rings=3 --nodata 100 --threads 1"
-    done = run("compress", dem, target, *options.split(), "--temp-dir", tmp_path, "--no-verify")
-    assert done.exit_code == 0, done.output
-    assert "not checked" in done.stdout
-    fields = json.loads(run("info", target, "--json").stdout)
-    assert (fields["block"], fields["effort"], fields["border_rings"]) == (64, "fast", 3)
-    assert fields["nodata"] == 100
-
-
-def test_a_file_made_without_the_proof_says_so(tmp_path, dem):
-    for name, options in ("proved", []), ("bare", ["--no-verify"]):
-        path = tmp_path / f"{name}.twz"
-        run("compress", dem, path, "--max-error", 2, "--method", "store", *options)
-        is_proved = not options
-        assert json.loads(run("info", path, "--json").stdout)["proved"] is is_proved
-        assert ("made with --no-verify" in run("info", path).stdout) is not is_proved
-        with terrainwave.open(path) as terrain, rasterio.open(terrain.geotiff()) as dataset:
-            assert ("PROOF" in dataset.tags(1, ns="TERRAINWAVE")) is not is_proved
-            assert ("without the proof" in terrain._repr_html_()) is not is_proved
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -162,22 +137,6 @@ def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
     part = tmp_path / "part.tif"
     assert run("decompress", target, part, "--quality", 1).exit_code == 0
     assert part.stat().st_size > 0
-
-
-def test_band_is_chosen_and_the_default_is_noted(tmp_path):
-    layers = np.stack([np.full((40, 40), value, "int16") for value in (1, 2, 3)])
-    path = write_geotiff(tmp_path / "rgb.tif", layers, photometric="MINISBLACK")
-    target = tmp_path / "a.twz"
-    done = run("compress", path, target, "--method", "store")
-    assert done.exit_code == 0
-    assert "note: " in done.stderr
-    assert "3 bands; using band 1 (choose with --band)" in done.stderr
-    assert done.output.count("3 bands") == 1
-    done = run("compress", path, target, "--method", "store", "--band", 3, "--overwrite")
-    assert done.exit_code == 0
-    assert "bands" not in done.stderr
-    with terrainwave.open(target) as terrain:
-        assert (terrain.read() == 3).all()
 
 
 # --- decompress --------------------------------------------------------------------------------
@@ -209,22 +168,6 @@ def test_decompress_window_bounds_and_level(tmp_path, twz):
     np.testing.assert_array_equal(read_geotiff(level)[0], half)
 
 
-@pytest.mark.parametrize("command", [["decompress", "a.tif"], ["mesh", "a.ply"]])
-@pytest.mark.parametrize(
-    ("option", "part"),
-    [("--window", "100,100,900,900"), ("--bounds", "403000,3990000,500000,3997000")],
-)
-def test_a_part_beyond_the_edge_is_cut_with_a_note(tmp_path, twz, command, option, part):
-    done = run(command[0], twz, tmp_path / command[1], option, part)
-    assert done.exit_code == 0
-    assert done.stderr.count("note: the ") == 1
-    assert re.search(
-        rf"note: the {option} reach(es)? beyond the (level's 150 x 140 samples|raster's, 4.*):"
-        r" what lies inside it is taken, 50 x 40 samples from row 100, column 100 on",
-        done.stderr,
-    )
-
-
 def test_decompress_makes_a_cog(tmp_path, twz):
     assert run("decompress", twz, tmp_path / "a.tif", "--cog", "--threads", 2).exit_code == 0
     with rasterio.open(tmp_path / "a.tif") as dataset:
@@ -245,19 +188,6 @@ def test_info_json_is_complete(twz):
     assert (fields["max_error"], fields["units"]) == (1, "m")
     assert fields["crs"] == "EPSG:32611"
     assert len(fields["level_errors"]) == fields["n_levels"]
-
-
-def test_parts_of_a_file_add_up_to_it(twz):
-    fields = json.loads(run("info", twz, "--json").stdout)
-    parts = fields["parts"]
-    assert (
-        sum(parts["heights"]) + sum(v for k, v in parts.items() if k != "heights")
-        == (fields["n_bytes"])
-    )
-    assert len(parts["heights"]) == fields["n_levels"]
-    assert all(parts["heights"])
-    lines = run("info", twz).stdout.splitlines()
-    assert sum(line.strip().startswith("level ") for line in lines) == fields["n_levels"]
 
 
 def marked(tmp_path, value, dtype, at=(50, 61), low=200, **options):
@@ -281,35 +211,6 @@ def test_a_number_that_is_no_height_is_refused_with_its_place(tmp_path):
     line = one_line(done, 1)
     assert "12 heights are -3.4028235e+38, the first at row 50, column 61" in line
     assert line.endswith("declare the nodata value -3.4028235e+38")
-
-
-@pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
-def test_recursive_errors_are_those_of_equations_2_and_3(tmp_path, method):
-    """Against `reference.recursive_errors`, in heights of half metres."""
-    target, bound = tmp_path / "a.twz", 3
-    heights = (0.5 * terrain_like(129, 129)).astype(np.float32)
-    options = {"method": method, "mesh": "zerotree", "block": 32}
-    terrainwave.compress(heights, target, max_error=bound, **options)
-    with terrainwave.open(target) as terrain:
-        levels = [terrain.read(level=level) for level in range(terrain.n_levels)]
-        quanta = [(2 * level).astype(np.int64) for level in levels]
-        heights_errors, sums = [], []
-        for level, errors in enumerate(recursive_errors(quanta, 32, 2 * bound)):
-            above = terrain.n_levels - 1 - level
-            heights_errors.append(float(max(errors.values())) / 2)
-            # Err_Tri of section 2.6: a quarter is of the error that the index holds, rounded up.
-            own = {place: terrain.block_error(Block(level, *place)) for place in errors}
-            sums.append(
-                max(
-                    float(error) / 2 + max(bound * 2**above, own[place] / 4 if above else 0)
-                    for place, error in errors.items()
-                )
-            )
-    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
-    assert fields["level_errors"] == heights_errors
-    assert fields["level_mesh_errors"] == sums
-    last = run("info", target, "--errors", "recursive").stdout.splitlines()[-1]
-    assert last.split()[-2:] == ["3", "6"]
 
 
 # --- verify ------------------------------------------------------------------------------------
@@ -807,17 +708,6 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
     assert (task.description, task.completed, task.total) == ("encoding", 3, 9)
     assert task.fields["ratio"] == "10.0:1"
     bar._bar.console.file.close()
-
-
-def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
-    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
-    bar, quiet = Bar(), Bar(quiet=True)
-    for done in (0, 1, 503, 509, 1000):
-        bar(Progress("encoding", done, 1000))
-        quiet(Progress("encoding", done, 1000))
-    assert capsys.readouterr().err.splitlines() == [
-        f"progress: encoding {percent} %" for percent in (0, 50, 100)
-    ]
 
 
 # --- completion ---------------------------------------------------------------------------------

@@ -485,27 +485,6 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
     assert sorted(os.listdir(tmp_path)) == before
 
 
-@pytest.mark.few(6)
-@pytest.mark.parametrize("error", ERRORS)
-def test_whatever_is_raised_for_one_of_many_files_stops_no_other(tmp_path, dem, monkeypatch, error):
-    for name in "abc":
-        shutil.copy(dem, tmp_path / f"{name}.tif")
-    compress = terrainwave.compress
-
-    def failing(source, *arguments, **options):
-        if source.endswith("b.tif"):
-            raise ERRORS[error]()
-        return compress(source, *arguments, **options)
-
-    monkeypatch.setattr(terrainwave, "compress", failing)
-    sources = [tmp_path / f"{name}.tif" for name in "abc"]
-    done = run("compress", *sources, "--to", tmp_path / "out", *QUICK)
-    assert done.exit_code == 1
-    assert done.stdout.splitlines()[-1] == "3 files: 2 compressed, 1 failed"
-    (line,) = [line for line in done.stderr.splitlines() if line.startswith("terrainwave: ")]
-    assert "b.tif: " in line
-
-
 def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
     def raising(*_, **__):
         raise KeyError("x")

@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 from cases import some
 
-from terrainwave.coding.private_names import missing
-
 ROOT = Path(__file__).parents[2]
 
 pytestmark = pytest.mark.large  # plain Python has no dispatchers
@@ -136,23 +134,3 @@ def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "TERRAINWAVE_COMPILER: found quick, expected fast, plain or nothing" in line
-
-
-def test_names_are_found_as_attributes_and_in_what_methods_read_and_set():
-    class Base:
-        def __init__(self):
-            self._kept = 1
-
-        @property
-        def shown(self):
-            return self._read
-
-        def work(self, one, other=2):
-            pass
-
-    class Derived(Base):
-        fixed = 3
-
-    there = ["_kept", "_read", "shown", "fixed", "work", "work(self, one, other)"]
-    gone = ["_gone", "work(self, other, one)", "gone(self)", "fixed(self)", "work(self)"]
-    assert missing({Derived: [*there, *gone]}) == [f"Derived.{name}" for name in gone]

@@ -16,7 +16,6 @@ from rasterio.enums import ColorInterp
 from rasterio.warp import transform_bounds
 from tri.meshes import grid_mesh, hills
 
-import terrainwave
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -175,29 +174,6 @@ def test_a_large_picture_gets_smaller_with_a_note(tmp_path, monkeypatch):
     assert picture_of(tmp_path / "b.glb")[0].shape[:2] == (32, 64)
 
 
-def test_the_walls_of_a_body_are_plain(tmp_path):
-    photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (60, 90)))
-    mesh = terrain_mesh()
-    save_mesh(mesh, tmp_path / "a.glb", solid=-999.0, drape=photo)
-    document, _ = document_of(tmp_path / "a.glb")
-    surface, walls = document["meshes"][0]["primitives"]
-    assert set(surface["attributes"]) == {"POSITION", "TEXCOORD_0"}
-    assert set(walls["attributes"]) == {"POSITION"}
-    assert [one["name"] for one in document["materials"]] == ["ground", "walls"]
-    textured = ["baseColorTexture" in one["pbrMetallicRoughness"] for one in document["materials"]]
-    assert textured == [True, False]
-    counts = [document["accessors"][one["indices"]]["count"] for one in (surface, walls)]
-    # Two triangles below each of the 2 * (20 + 30) edges, and the base.
-    assert counts == [3 * mesh.n_triangles, 3 * (mesh.n_triangles + 200)]
-    whole = trimesh.load(tmp_path / "a.glb", force="mesh")
-    whole.merge_vertices(merge_tex=True, merge_norm=True)
-    assert whole.is_watertight
-    scene = trimesh.load(tmp_path / "a.glb", process=False)
-    (ground,) = (one for one in scene.geometry.values() if one.visual.uv is not None)
-    colors = ground.visual.to_color().vertex_colors[:, :3].astype(int)
-    assert_quarters(ground.vertices[:, 0], -ground.vertices[:, 2], colors, margin=20.0)
-
-
 def test_a_plain_picture_covers_the_raster_of_a_window(tmp_path):
     """Of the red quarter alone, north-west: red all over. Pixels are halves of samples."""
     Image.fromarray(np.moveaxis(bands_of(QUARTERS, (42, 62)), 0, -1)).save(tmp_path / "plain.png")
@@ -205,28 +181,6 @@ def test_a_plain_picture_covers_the_raster_of_a_window(tmp_path):
     mesh = replace(mesh, attributes={"footprint": Footprint(UTM, SHAPE)})
     save_mesh(mesh, tmp_path / "a.glb", drape=tmp_path / "plain.png")
     assert (picture_of(tmp_path / "a.glb")[0] == RED).all()
-
-
-@pytest.mark.parametrize(
-    ("window", "expected"),
-    [((0, 0, 10, 14), RED), ((0, 17, 10, 14), GREEN), ((11, 0, 10, 14), BLUE)],
-)
-@pytest.mark.parametrize("is_placed", [True, False])
-def test_a_terrain_says_what_a_plain_picture_covers(tmp_path, window, expected, is_placed):
-    place = {"crs": CRS, "transform": rasterio.Affine(*UTM)} if is_placed else {}
-    heights = hills(*SHAPE).astype(np.float32)
-    with rasterio.open(
-        tmp_path / "dem.tif", "w", driver="GTiff", count=1, height=SHAPE[0], width=SHAPE[1],
-        dtype="float32", **place,
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    terrainwave.compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=1, block=32)
-    Image.fromarray(np.moveaxis(bands_of(QUARTERS, (42, 62)), 0, -1)).save(tmp_path / "plain.png")
-    with terrainwave.open(tmp_path / "dem.twz") as terrain:
-        mesh = terrain.mesh(window, max_error=2)
-    mesh.save(tmp_path / "a.glb", frame="native", drape=tmp_path / "plain.png")
-    found, _ = picture_of(tmp_path / "a.glb")
-    assert (found == expected).all()
 
 
 def test_a_gltf_file_has_the_picture_inside(tmp_path):

@@ -1,8 +1,6 @@
 """Does the page of `terrainwave serve` show mountains, say what it lacks, and never mix two?"""
 
-import json
 import re
-import urllib.request
 
 import numpy as np
 import pytest
@@ -212,33 +210,6 @@ def test_an_address_brings_the_view_back(page):
     wait_until(driver, "document.getElementById('about').textContent.includes('161')")
     wait_for(driver, "complete")
     assert text(driver, "factor") == "3.0"
-
-
-def test_colours_have_a_legend_in_metres(address, page):
-    driver = page("terrain=hills&shaded=0&view=46.2,8.25,10.5,0,0")
-    with_tints = screenshot(driver)
-    ticks = text(driver, "ticks").split()
-    assert ticks[1::2] == ["m"] * (len(ticks) // 2)
-    heights = [float(tick) for tick in ticks[::2]]
-    assert heights == sorted(heights)
-    with urllib.request.urlopen(f"{address}/terrains.json") as answer:
-        found = json.load(answer)[0]
-    assert (heights[0], heights[-1]) == (found["lowest"], found["highest"])
-    choose(driver, "colours", "cividis")
-    wait_for(driver, "complete")
-    bar = driver.find_element("id", "bar").value_of_css_property("background-image")
-    assert bar.startswith("linear-gradient(to right, rgb(0, 34, 78) 0%, ")
-    assert bar.endswith(", rgb(254, 232, 56) 100%)")
-    wait_until(driver, "terrainMap.loaded()")
-    assert (screenshot(driver)[150:400, 350:700] != with_tints[150:400, 350:700]).mean() > 0.3
-    choose(driver, "colours", "none")
-    assert not driver.find_element("id", "legend").is_displayed()
-    wait_until(driver, "terrainMap.loaded()")
-    plain = screenshot(driver)[150:400, 350:700].reshape(-1, 3)
-    assert np.abs(plain.astype(int) - (0xCF, 0xC8, 0xB8)).max() <= 2
-    driver.find_element("id", "shaded").click()
-    wait_until(driver, "terrainMap.loaded()")
-    assert screenshot(driver)[150:400, 350:700].astype(float).mean(axis=2).std() > 4
 
 
 def test_what_a_file_says_of_its_origin_is_text(page):

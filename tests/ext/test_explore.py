@@ -2,9 +2,6 @@
 
 import re
 import threading
-import tomllib
-from fnmatch import fnmatch
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,10 +14,8 @@ import terrainwave
 from terrainwave.ext.notebook import channel as protocol
 from terrainwave.ext.notebook.channel import MOST_BYTES, MOST_RANGES, MOST_WAITING, Answer, Channel
 from terrainwave.ext.notebook.drawn import region_of_box
-from terrainwave.ext.publish import reader_directory
 from terrainwave.globe.lonlat import Globe
 
-ROOT = Path(__file__).parents[2]
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 PATIENCE = 30
 
@@ -198,13 +193,6 @@ def test_bytes_of_servers_and_private_stores_come_too(twz, page):
     memory.rm("/explored.twz")
 
 
-def test_a_closed_terrain_is_said(twz, page):
-    with terrainwave.open(twz) as terrain:
-        take = explored(terrain, page)._channel.take
-    content, _ = page.ask(take, "ranges", ranges=[[0, 100]])
-    assert content["error"] == {"name": "StorageError", "message": f"{twz} is closed"}
-
-
 def test_what_the_page_is_told_names_no_path(terrain, twz, page):
     told, _ = page.ask(explored(terrain, page)._channel.take, "terrain")
     assert str(twz.parent) not in repr(told)
@@ -213,29 +201,7 @@ def test_what_the_page_is_told_names_no_path(terrain, twz, page):
     assert "rows" in told["terrain"]["placed"]
 
 
-def test_heights_below_mapbox_tiles_get_the_other_encoding(tmp_path, page):
-    deep = write_twz(tmp_path, hills(40, 40) - 11000, BOUNDS, name="deep")
-    with terrainwave.open(deep) as terrain:
-        told, _ = page.ask(explored(terrain, page)._channel.take, "terrain")
-    assert told["terrain"]["encoding"] == "terrarium"
-
-
 # The page
-
-
-def test_the_wheel_has_every_file_of_the_map():
-    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
-    wheel = wheel["targets"]["wheel"]
-    static = ROOT / "src" / "terrainwave" / "ext" / "serve" / "static"
-    reader = ROOT / "js"
-    assert reader_directory() == reader
-    # The folders that an installed package is searched in: `reader_directory`.
-    assert wheel["sources"]["js"] == "terrainwave/ext/serve/reader"
-    needed = [*static.rglob("*.*"), *(reader / "notebook").iterdir()]
-    needed += [path for name in ("src", "map") for path in (reader / name).iterdir()]
-    for path in needed:
-        name = path.relative_to(ROOT).as_posix()
-        assert any(fnmatch(name, f"{included}*") for included in wheel["only-include"]), name
 
 
 # Windows

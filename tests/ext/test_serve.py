@@ -20,7 +20,7 @@ from fastapi.testclient import TestClient
 from PIL import Image
 from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import minimum_filter
 
 import terrainwave
 from terrainwave.cli import main
@@ -30,7 +30,6 @@ from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-from terrainwave.globe.tile_scheme import MAX_ZOOM
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
@@ -138,21 +137,6 @@ def test_tiles_of_projected_terrain_lie_where_the_raster_does(tmp_path):
     assert 12 <= z <= 14
 
 
-@pytest.mark.parametrize("left", [-180.0, 0.0])
-def test_a_global_terrain_goes_round(tmp_path, left):
-    """The last column is followed by the first; the poles have heights."""
-    turns = 2 * np.pi * (np.arange(90) + 0.5) / 90
-    heights = np.rint(100 + 50 * np.cos(turns) + np.arange(45)[:, None]).astype(np.int16)
-    path = write_twz(tmp_path, heights, (left, -90, left + 360, 90), max_error=0)
-    with terrainwave.open(path) as terrain:
-        globe = Globe(terrain)
-        assert globe.extent == (-180, -90, 180, 90)
-        for x in (0, 3):
-            for y in (0, 3):
-                tile = heights_of(tiling.rgb_tile(globe, 2, x, y).png)
-                assert tile.min() >= heights.min() - 0.1
-
-
 def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
     with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
         layer = client.get("/hills/mesh/layer.json").json()
@@ -167,22 +151,6 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert float(tile.headers["x-tile-error"]) > 0
         assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
-
-
-@pytest.mark.full
-def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
-    west, south, side = 8.0, 46.0, 33e-7  # pixels of 1 cm
-    path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)
-    with client_of(path) as client:
-        layer = client.get("/hills/mesh/layer.json").json()
-        assert layer["maxzoom"] == MAX_ZOOM > tiling.MAX_ZOOM
-        for zoom in (MAX_ZOOM - 1, MAX_ZOOM):
-            first = layer["available"][zoom][0]
-            address = f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain"
-            assert client.get(address).status_code == 200
-        beyond = client.get(f"/hills/mesh/{MAX_ZOOM + 1}/0/0.terrain")
-        assert beyond.status_code == 404
-        assert f"expected 0 … {MAX_ZOOM}" in beyond.json()["detail"]
 
 
 # Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
@@ -514,32 +482,6 @@ def turned(tmp_path_factory):
         tmp_path_factory.mktemp("turned"), heights, (300000, 7000000, 302910, 7002910),
         crs="EPSG:32633", max_error=0, nodata=-999,
     )  # fmt: skip
-
-
-def test_a_rim_goes_on_from_the_edge_and_leaves_the_rest_as_it_is(turned):
-    rim = 4
-    with terrainwave.open(turned) as terrain:
-        globe = Globe(terrain)
-        west, south, east, north = globe.extent
-        z = tiling.max_zoom(globe)
-        x, y = tile_at(z, (west + east) / 2, (south + north) / 2)
-        plain, grown = (tiling.rgb_tile(globe, z, x, y, width) for width in (0, rim))
-        lowest = globe.height_range[0]
-    before, after = heights_of(plain.png), heights_of(grown.png)
-    had = before > lowest - 0.5
-    assert had.any()
-    assert not had.all()
-    np.testing.assert_array_equal(before[had], after[had])
-    assert (plain.error, plain.terrain_error) == (grown.error, grown.terrain_error)
-    near = maximum_filter(had, 2 * rim + 1)
-    inner = slice(rim, -rim)  # beyond, the edge of another tile may be near
-    np.testing.assert_array_equal((after > lowest - 0.5)[inner, inner], near[inner, inner])
-    # No step from the edge outward is larger than those of the terrain are.
-    one = maximum_filter(had, 3) & ~had
-    one[[0, -1]] = one[:, [0, -1]] = False
-    around = maximum_filter(np.where(had, before, -1e9), 3)
-    assert (after[one] <= around[one] + 0.05).all()
-    assert (after[one] >= minimum_filter(np.where(had, before, 1e9), 3)[one] - 0.05).all()
 
 
 def test_tiles_with_a_rim_continue_each_other(turned):

@@ -179,18 +179,6 @@ def test_tile_addresses_are_those_that_a_proxy_on_this_machine_forwards(hilly, h
             assert client.head(path, headers=forwarded).status_code == 200, path
 
 
-def test_nothing_that_other_clients_forward_is_believed(hilly):
-    headers = {"Host": "example.org", "Proto": "https", "Prefix": "/terrain"}
-    options = {"hosts": ("example.org",), "client": ELSEWHERE}
-    with client_of(hilly, **options) as client:
-        assert tiles_of(client, **headers) == "http://127.0.0.1" + TILES
-    for proxy in (("10.1.2.3",), ("192.168.0.0/16", "10.0.0.0/8"), ("10.1.2.99/24",)):
-        with client_of(hilly, proxy=proxy, **options) as client:
-            assert tiles_of(client, **headers) == "https://example.org/terrain" + TILES
-    with client_of(hilly, proxy=("10.1.2.4", "fd00::/8"), **options) as client:
-        assert tiles_of(client, **headers) == "http://127.0.0.1" + TILES
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [

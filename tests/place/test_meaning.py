@@ -198,17 +198,6 @@ def test_depths_of_all_sources_lie_below_the_sea_and_it_is_said_once(tmp_path, s
         assert globe.height_range == (-60, -5)
 
 
-def test_a_depth_s_name_over_heights_below_the_sea_is_not_believed(tmp_path):
-    heights = -DEPTHS
-    heights[0, :5] = 3
-    path, notes = made(write_netcdf(tmp_path / "d.nc", heights=heights), tmp_path)
-    (note,) = notes
-    assert "its name: depth means depths, but most numbers are below 0" in note
-    with terrainwave.open(path) as terrain:
-        assert terrain.info().heights_are == "height"
-        assert quietly(Globe, terrain).height_range == (-60, 3)
-
-
 def test_what_contradicts_a_downward_axis_is_not_turned(tmp_path):
     source = write(tmp_path / "d.tif", DEPTHS, crs=DOWN, band_tags={"positive": "up"})
     path, notes = made(source, tmp_path)

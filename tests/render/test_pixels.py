@@ -105,32 +105,6 @@ def test_voids_are_as_in_the_full_terrain(context, with_voids, mode):
         assert (~loud(image) & eroded(loud(reference))).sum() == 0
 
 
-def test_shades_agree_across_borders_of_one_level(context):
-    """On a smooth surface, whose shade hardly changes from pixel to pixel."""
-    rows, cols = np.mgrid[0:129, 0:129]
-    smooth = (400 * np.sin(rows / 40) * np.cos(cols / 45)).astype(np.float32)
-    with terrain_of(smooth, max_error=0.01, mesh_error=4.0) as terrain:
-        with Canvas(terrain, (516, 516), samples=0, context=context) as canvas:
-            camera = top_view(canvas.scene.frame.box, canvas.viewport)
-            style = Style(coloring="plain", haze=0, background=LOUD)
-            view = canvas.scene.view(camera, canvas.viewport, 0.5)
-            image, frames = canvas.picture(camera, style, max_pixel_error=0.5)
-            pieces = [canvas.scene.table.pieces[node] for node in frames.nodes.tolist()]
-            assert len({piece.level for piece in pieces}) == 1
-            assert len(pieces) == 16
-            grey = image.astype(int)
-            # Second differences: a step at a border would stand out from the slow change.
-            for k in (1, 2, 3):
-                xy = canvas.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
-                column = round(
-                    float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0])
-                )
-                band = grey[40:-40, column - 4 : column + 4]
-                steps = np.diff(band, axis=1)
-                assert np.abs(np.diff(steps, axis=1)).max() <= 2
-                assert np.abs(steps).max() <= 3
-
-
 def waves(rows, cols):
     """Return heights and their slopes to the east and north, of 30 m samples."""
     heights = 200 * np.sin(rows / 11) * np.cos(cols / 9)

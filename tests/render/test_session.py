@@ -12,7 +12,6 @@ from terrainwave.render.look.style import Style
 from terrainwave.render.paging.background import Background
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
-from terrainwave.render.scene.measure import Ruler, read_profile
 from terrainwave.render.window.controls import Controls
 from terrainwave.render.window.ground import Ground
 from terrainwave.render.window.pictures import read_flight
@@ -151,17 +150,6 @@ def test_the_ground_is_that_of_the_level_drawn_and_the_last_known_beside_the_ras
     assert last == pytest.approx(450, abs=2)
     assert height_at(500, 500) == last
     background.close()
-
-
-def test_degrees_are_measured_on_the_ellipsoid():
-    heights = np.zeros((40, 40), dtype=np.int16)
-    heights[0, 0] = 1
-    with terrain_of(heights, pixel=0.5, corner=(0, 70), crs="EPSG:4326", max_error=0) as terrain:
-        profile = read_profile(terrain, Ruler(terrain), [(1.0, 60.0), (2.0, 60.0), (2.0, 61.0)])
-    # A degree along the parallel and the meridian at 60 degrees (WGS 84): 55,800 m, 111,412 m.
-    first = int(np.argmax(profile.places[:, 1] > 60.0)) - 1
-    assert profile.distances[first] == pytest.approx(55_800, abs=2)
-    assert profile.horizontal - profile.distances[first] == pytest.approx(111_421, abs=12)
 
 
 def test_background_work_has_ended_when_it_is_closed():

@@ -6,20 +6,17 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_ho
 
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
-from terrainwave.render.scene.camera import home, top_view
-from terrainwave.render.scene.frame import Frame, frame_of
+from terrainwave.render.scene.camera import home
+from terrainwave.render.scene.frame import frame_of
 from terrainwave.render.scene.walls import (
     BASE,
     LID,
     TOP,
     build_solid,
-    distance_to_walls,
     fill_voids,
 )
 
 SIZE = (160, 120)
-FLAT = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (10.0, 0.0, -500.0, 0.0, -10.0, 400.0), (81, 101),
-             (0.0, 60.0))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -48,22 +45,6 @@ def test_walls_follow_the_border_and_stand_outside_of_it(with_voids):
                 (-1.0, 0.0): cols == 0, (1.0, 0.0): cols == 109}  # fmt: skip
     for normal, is_there in outwards.items():
         assert is_there[(tops["normal"] == normal).all(axis=1)].all()
-
-
-def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
-    with_voids, monkeypatch
-):
-    monkeypatch.setattr("terrainwave.render.scene.walls._WALL_SIDE", 60)
-    heights = with_voids.read().astype(float)
-    vertices, _ = solid_of(with_voids)
-    tops = vertices[vertices["kind"] == TOP]
-    north = tops[tops["normal"][:, 1] == 1]
-    np.testing.assert_array_equal(north["col"], [*range(0, 109, 2), 109])
-    line = np.append(heights[0, ::2], heights[0, 108])
-    lowest = np.minimum(
-        line, np.minimum(np.append(line[0], line[:-1]), np.append(line[1:], line[-1]))
-    )
-    np.testing.assert_array_equal(north["height"], lowest)
 
 
 @pytest.mark.parametrize("side", [641, 40])
@@ -95,44 +76,6 @@ def test_voids_are_filled_between_the_heights_around_them():
     assert filled[18, 31] - filled[18, 16] > 20  # it goes up with what is around
     nothing = np.zeros((3, 4), dtype=bool)
     np.testing.assert_array_equal(fill_voids(heights[:3, :4], nothing), heights[:3, :4])
-
-
-@pytest.mark.parametrize(
-    ("eye", "distance"),
-    [
-        ((0.0, 0.0, 30.0), "floor"), ((480.0, 0.0, 50.0), 20.0), ((530.0, 0.0, 50.0), 30.0),
-        ((530.0, 0.0, 100.0), 50.0), ((-500.0, 440.0, 10.0), "corner"),
-    ],
-)  # fmt: skip
-def test_the_distance_to_walls_and_floor_is_that_of_the_nearest(eye, distance):
-    expected = {"floor": 30.0 - FLAT.base, "corner": 40.0}.get(distance, distance)
-    assert distance_to_walls(FLAT, np.array(eye)) == pytest.approx(expected)
-
-
-@pytest.mark.gl
-@pytest.mark.large
-@pytest.mark.parametrize(
-    "mode", ["adaptive", "full", pytest.param("dynamic", marks=pytest.mark.full)]
-)
-def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context, with_voids, mode):
-    plain = {"coloring": "plain", "shade": 0.0, "haze": 0.0}
-    with Canvas(with_voids, SIZE, samples=0, context=context, mode=mode) as canvas:
-        camera = top_view(canvas.scene.frame.box, canvas.viewport)
-        # The finest blocks: a coarser surface may lie below the lids beside it, by up to τ.
-        fine = {"max_pixel_error": 0.3}
-        before, _ = canvas.picture(camera, Style(background=LOUD, solid=False, **plain), **fine)
-        after, _ = canvas.picture(camera, Style(background=LOUD, **plain), **fine)
-        holes = loud(before) & ~loud(after)
-        assert holes.sum() > 800
-        seen = eroded(~loud(before))
-        np.testing.assert_array_equal(after[seen], before[seen])
-        # Two greys and what lies between them.
-        hatch = after[holes].astype(int)
-        assert np.quantile(np.ptp(hatch, axis=1), 0.99) < 5  # a wall's edge may be among them
-        assert np.quantile(hatch[:, 0], [0.1, 0.9]) == pytest.approx([153, 204], abs=8)
-        row, col = (int(part) for part in np.argwhere(eroded(holes, 3))[0])
-        assert canvas.pick(col + 0.5, row + 0.5) is None
-        assert canvas.pick(SIZE[0] / 2, 20.5) is not None
 
 
 @pytest.mark.gl

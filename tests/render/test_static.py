@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from render.scenes import hills, terrain_of
 
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.errors import InvalidHeightsError
 
 
 @pytest.fixture
@@ -79,40 +79,3 @@ def test_a_view_of_voids_is_refused():
         pytest.raises(InvalidHeightsError, match="voids only"),
     ):
         terrain.view()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"wireframe": True}, "unexpected keyword argument 'wireframe'"),
-        ({"mode": "fast"}, "found mode 'fast', expected one of adaptive, batched"),
-        ({"mode": ["rqt"]}, "found mode .*, expected one of adaptive, batched"),
-        ({"error": "coefficient"}, "found error 'coefficient', expected measured or paper"),
-        ({"detail": -1}, "found detail -1, expected a finite number > 0"),
-        ({"detail": 0.5, "error": "paper"}, "found detail in mode adaptive, expected mode batched"),
-        ({"order": "4"}, "found order the text '4', expected 2 or 4"),
-        ({"order": 3, "mode": "batched"}, "found order 3, expected 2 or 4"),
-        ({"stepwise": "no"}, "found stepwise 'no', expected True or False"),
-        ({"stepwise": True}, "found stepwise in mode adaptive, expected mode dynamic or vertex-"),
-        ({"tree": 20, "mode": "dynamic"}, "found tree 20, expected a power of two, 2 … 256"),
-        ({"tree": 32}, "found tree in mode adaptive, expected mode dynamic or vertex-texture"),
-        ({"orientation": 1}, "found orientation 1, expected True or False"),
-        ({"drape": 3}, "found drape 3, expected a path as text"),
-        ({"exaggeration": 0}, "found exaggeration 0, expected a finite number > 0"),
-        ({"radius": float("nan")}, "found radius nan, expected a finite number > 0"),
-        ({"bounds": (1, 2, 3)}, "found bounds .*, expected four finite numbers: left, bottom"),
-        ({"camera": "a", "bounds": (1, 2, 3, 4)}, "found both camera and bounds, expected one"),
-        ({"style": "plain"}, "found style 'plain', expected a Style"),
-        ({"camera": 3}, "found camera 3, expected x,y,z,heading,pitch,fov as a text"),
-    ],
-)
-def test_wrong_arguments_of_a_view_are_told_before_a_window_opens(
-    terrain, monkeypatch, options, message
-):
-    def opened(*_, **__):
-        raise AssertionError("opened")
-
-    monkeypatch.setattr("terrainwave.render.window.viewer.run", opened)
-    monkeypatch.setattr("terrainwave.render.gpu.canvas.create_context", opened)
-    with pytest.raises((InvalidArgumentError, TypeError), match=message):
-        terrain.view(**options)
