@@ -7,22 +7,14 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
-from click.testing import CliRunner
+from commands import run
 from PIL import Image
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 from tri.meshes import grid_mesh
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.terrain import Terrain
-
-
-def run(*args):
-    """Run a command in this process; errors must have become a line and a status."""
-    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def one_line(result, status):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lone_units import rough
 
 from terrainwave.codec.planes import CORES, TAPS
 from terrainwave.codec.predictive import file_tables as parameters_module
@@ -137,14 +138,6 @@ def test_any_bytes_give_tables_within_their_limits_or_our_own_error(data):
 
 
 # Coding with them ------------------------------------------------------------------------------
-
-
-def rough(shape, seed=0):
-    """Return a surface of steps and slopes that no trained stencil was made for."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
-    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int32)
 
 
 def fitted_to(heights, step):

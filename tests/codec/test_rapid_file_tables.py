@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lone_units import rough
 
 from terrainwave.codec.planes import FileStencil
 from terrainwave.codec.rapid import file_tables as module
@@ -220,14 +221,6 @@ def test_damaged_bytes_give_tables_within_their_limits_or_our_own_error():
 
 
 # Fits -------------------------------------------------------------------------------------------
-
-
-def rough(shape, seed=0):
-    """Return a surface of steps and slopes that no trained stencil was made for."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
-    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int32)
 
 
 def fitted(heights, step, valid=None, each=map):

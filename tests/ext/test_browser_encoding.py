@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from ext.browser import chromium, console, screenshot, served, wait_until
+from ext.browser import console, screenshot, served, wait_until
 from ext.rasters import write_twz
 from ext.static_server import static_server
 
@@ -23,12 +23,6 @@ def trench(tmp_path_factory):
     heights[60:140, 60:190] = -10_900
     folder = tmp_path_factory.mktemp("trench")
     return str(write_twz(folder, heights, BOUNDS, max_error=0, name="trench"))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
 
 
 def check_page(driver, address, encoding):

@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 import pytest
-from ext.browser import chromium, console, screenshot, served, wait_until
+from ext.browser import console, screenshot, served, wait_until
 from ext.gate import Gate
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from rasterio import open as open_raster
 from scipy.ndimage import label
 from scipy.spatial import ConvexHull
@@ -16,7 +16,6 @@ from selenium.webdriver.support.select import Select
 import terrainwave
 from terrainwave.ext.serve.app import make_app
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 HTML = '<img src=x onerror="window.pwned = 1">'
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
@@ -49,12 +48,6 @@ def gate(folder):
 def address(gate):
     with served(gate) as address:
         yield address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
 
 
 @pytest.fixture

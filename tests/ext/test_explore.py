@@ -5,7 +5,7 @@ import threading
 
 import numpy as np
 import pytest
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import static_server
 from rasterio.warp import transform
 from strategies import terrain_like
@@ -16,7 +16,6 @@ from terrainwave.ext.notebook.channel import MOST_BYTES, MOST_RANGES, MOST_WAITI
 from terrainwave.ext.notebook.drawn import region_of_box
 from terrainwave.globe.lonlat import Globe
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 PATIENCE = 30
 
 

@@ -9,15 +9,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from ext.browser import chromium, console, wait_until
-from ext.rasters import hills, write_twz
+from ext.browser import console, wait_until
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import static_server
 
 import terrainwave
 from terrainwave.ext.publish import publish_site
 
 ROOT = Path(__file__).parents[2]
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 # Where tools/install_system.sh unpacks Debian's nginx, which would listen if it were installed.
 NGINX = ROOT / "build" / "nginx"
 LICENCES = {"terrainwave/LICENSE", "static/maplibre/LICENSE.txt"}
@@ -98,12 +97,6 @@ def simple_host(folder):
     """Yield the address of a host that sends what it does not know as application/octet-stream."""
     with static_server(folder) as server:
         yield server.address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
 
 
 def show(driver, address, state):

@@ -9,8 +9,8 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from ext.browser import chromium, wait_until
-from ext.rasters import hills, write_twz
+from ext.browser import wait_until
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import KNOWN, static_server
 
 import terrainwave
@@ -19,7 +19,6 @@ from terrainwave.ext.publish import publish_site
 HERE = Path(__file__).parent
 JS = HERE.parents[1] / "js"
 BINARIES = HERE / "node_modules" / ".bin"
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 pytestmark = pytest.mark.full
 
@@ -56,13 +55,6 @@ def twz(tmp_path_factory):
 def heights(twz):
     with terrainwave.open(twz) as terrain:
         return terrain.read().ravel().tolist()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        driver.set_script_timeout(120)
-        yield driver
 
 
 @pytest.fixture

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from ext.browser import PATIENCE, chromium, screenshot, wait_until
 from ext.jupyter import Notebook, jupyter_lab, set_up
-from ext.rasters import hills, write_raster, write_twz
+from ext.rasters import BOUNDS, hills, write_raster, write_twz
 from selenium.webdriver import ActionChains
 
 import terrainwave
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 SHOWN = "document.body.dataset.state === 'complete'"
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]

@@ -10,27 +10,21 @@ import shutil
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from crs_texts import sphere
-from ext.browser import chromium, console, screenshot, wait_until
-from ext.rasters import hills, write_raster, write_twz
+from ext.browser import console, screenshot, wait_until
+from ext.rasters import BOUNDS, hills, write_raster, write_twz
 from ext.static_server import static_server
 from ext.test_javascript import node
 from PIL import Image
 from rasterio.warp import transform
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.ext.publish import publish_site
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 RIM = 4
-
-
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
 
 
 def with_hole(heights):
@@ -256,12 +250,6 @@ def test_height_maps_state_their_errors(twz, site):
 
 
 # The page
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
 
 
 def show(driver, server, state="complete", hash_=""):

@@ -15,7 +15,7 @@ import rasterio
 from click.testing import CliRunner
 from commands import start
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 from PIL import Image
 from rasterio.warp import transform
@@ -30,8 +30,6 @@ from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 
 def client_of(*paths, host="http://127.0.0.1", **options):
@@ -69,11 +67,6 @@ def slope(tmp_path_factory):
         BOUNDS,
         max_error=0,
     )
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 @pytest.mark.parametrize("z", [9, 10, 11])

@@ -1,14 +1,13 @@
 """Do addresses of `terrainwave serve` lead to what they name, after restarts and behind proxies?"""
 
 import pytest
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.ext.serve import layers
 from terrainwave.ext.serve.app import make_app
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 TILE = "9/267/181.png"
 LOOPBACK, ELSEWHERE = ("127.0.0.1", 40000), ("10.1.2.3", 40000)
 
@@ -16,11 +15,6 @@ LOOPBACK, ELSEWHERE = ("127.0.0.1", 40000), ("10.1.2.3", 40000)
 def client_of(*paths, host="http://127.0.0.1", client=LOOPBACK, **options):
     app = make_app([str(path) for path in paths], **options)
     return TestClient(app, host, client=client, raise_server_exceptions=False)
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 # ---- Restarts ----

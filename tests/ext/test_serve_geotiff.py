@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi import HTTPException
 from fastapi.testclient import TestClient
 from rasterio.windows import Window
@@ -19,7 +19,6 @@ from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.byte_range import Span, asked_span, is_same
 from terrainwave.ext.serve.sending import PART, Desk, begun, parts
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 TAG = '"abc"'
 
 

@@ -9,7 +9,7 @@ import threading
 
 import pytest
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 
 from terrainwave.errors import CorruptStreamError
@@ -18,13 +18,7 @@ from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.log import warn_once
 from terrainwave.globe import terrain_rgb as tiling
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 REQUEST = b"GET /terrains.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ext.browser import chromium, console, screenshot, wait_until
-from ext.rasters import hills, write_twz
+from ext.browser import console, screenshot, wait_until
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import static_server
 
 import terrainwave
@@ -14,7 +14,6 @@ from terrainwave.ext.publish import publish_site
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parents[1] / "examples" / "web"
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 POINTS = [(8.25, 46.2), (8.2, 46.22), (8.3, 46.18)]
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
@@ -34,13 +33,6 @@ def folder(twz, tmp_path_factory):
     publish_site([str(twz)], folder / "site")
     (folder / "node_modules").symlink_to(HERE / "node_modules")
     return folder
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        driver.set_script_timeout(120)
-        yield driver
 
 
 def shown(driver, server, page):

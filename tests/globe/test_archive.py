@@ -5,13 +5,12 @@ import os
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from pmtiles.reader import MmapSource, Reader, all_tiles
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.globe import archive
 from terrainwave.globe.archive import write_pmtiles
 from terrainwave.globe.lonlat import Globe
@@ -30,10 +29,6 @@ def make_twz(tmp_path, transform=UTM, crs="EPSG:32633", mask=None, side=40):
     terrainwave.compress(raster, tmp_path / "dem.twz", max_error=1, method="store", block=32)
     raster.unlink()
     return tmp_path / "dem.twz"
-
-
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
 
 
 def read_archive(path):

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from quantized_mesh import metadata, read_tile
 from rasterio.crs import CRS
 from rasterio.transform import Affine
@@ -12,7 +12,6 @@ from rasterio.warp import transform
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.globe.cesium import TilePyramid, layer_json, terrain_tile, write_tiles
 
@@ -366,10 +365,6 @@ def test_layer_names_every_tile_that_is_written(tmp_path):
     assert tiles_in(tmp_path / "tiles") == named
     assert sum(zoom.n_tiles for zoom in zooms) == len(named)
     assert layer["maxzoom"] == len(layer["available"]) - 1 == zooms[-1].zoom
-
-
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
 
 
 def test_command_writes_a_directory_and_replaces_only_tiles(tmp_path):
