@@ -163,26 +163,26 @@ def test_scale_and_offset_of_the_band_are_applied(tmp_path):
     assert heights_of(samples, about).max() == pytest.approx(0.25 * heights.max() - 3)
 
 
-@pytest.mark.parametrize("size", [0, 2, 64, 66, 1024, 32769, -3, "big"])
-def test_a_size_that_is_no_tiles_is_refused(tmp_path, size):
-    with pytest.raises(InvalidHeightsError, match=r"2\^n \+ 1"):
-        tile_of(tmp_path, terrain_like(33, 33), size=size)
-    assert not list(tmp_path.glob("tile*"))
-
-
-def test_a_single_row_is_refused(tmp_path):
-    with pytest.raises(InvalidHeightsError, match="at least 2 x 2"):
-        tile_of(tmp_path, terrain_like(1, 33))
-
-
-def test_a_size_for_a_geotiff_is_refused(tmp_path):
-    with pytest.raises(InvalidHeightsError, match="height tiles"):
-        decompress(make(tmp_path, terrain_like(9, 9)), tmp_path / "back.tif", size=65)
-
-
-def test_a_cog_tile_is_refused(tmp_path):
-    with pytest.raises(InvalidHeightsError, match="COG"):
-        decompress(make(tmp_path, terrain_like(9, 9)), tmp_path / "tile.png", cog=True)
+@pytest.mark.parametrize(
+    ("shape", "name", "options", "message"),
+    [
+        *(
+            ((33, 33), "tile.r16", {"size": size}, r"2\^n \+ 1")
+            for size in (0, 2, 64, 66, 1024, 32769, -3, "big")
+        ),
+        ((1, 33), "tile.r16", {}, "at least 2 x 2"),
+        ((9, 9), "back.tif", {"size": 65}, "height tiles"),
+        ((9, 9), "tile.png", {"cog": True}, "COG"),
+        ((9, 9), "tile.r16", {"voids": "highest"}, "expected lowest, fill or a height"),
+        ((9, 9), "tile.r16", {"voids": float("nan")}, "expected lowest, fill or a height"),
+    ],
+)
+def test_what_no_tile_can_be_is_refused(tmp_path, shape, name, options, message):
+    source = make(tmp_path, terrain_like(*shape))
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(InvalidHeightsError, match=message):
+        decompress(source, tmp_path / name, **options)
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize("existing", ["tile.r16", "tile.r16.json"])
@@ -233,9 +233,3 @@ def test_fills_keep_what_is_known_and_lie_between():
     known = heights[valid]
     assert ((known.min() <= filled) & (filled <= known.max())).all()
     assert not np.isnan(fill_voids(heights, np.zeros_like(valid))).any()
-
-
-@pytest.mark.parametrize("voids", ["highest", float("nan")])
-def test_other_voids_are_refused(tmp_path, voids):
-    with pytest.raises(InvalidHeightsError, match="expected lowest, fill or a height"):
-        decompress(make(tmp_path, terrain_like(9, 9)), tmp_path / "tile.r16", voids=voids)
