@@ -46,7 +46,7 @@ WITHOUT_KERNELS = {
     "test_cache.py", "test_camera.py", "test_compiler.py", "test_compilers.py", "test_controls.py",
     "test_convert_in_c.py", "test_crew.py", "test_dispatchers.py", "test_docs.py",
     "test_examples.py", "test_extras.py", "test_faults.py", "test_format_example.py",
-    "test_install_lines.py", "test_javascript_kernels.py", "test_kernel_cache.py",
+    "test_install_lines.py", "test_javascript_kernels.py", "test_jit.py", "test_kernel_cache.py",
     "test_logging.py", "test_masks_in_c.py", "test_mime.py", "test_native.py",
     "test_polynomials.py", "test_pyinstaller.py",
     "test_release.py", "test_types.py", "test_units_in_c.py", "test_wheels.py", "test_window.py",
