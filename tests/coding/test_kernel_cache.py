@@ -49,7 +49,11 @@ place = regular.half_place._cache.place
 print(json.dumps([names, [str(one.message) for one in told], place._asdict()]))
 """
 BOTH = pytest.mark.parametrize(
-    "by", [as_stranger, pytest.param(as_root_without_rights, marks=pytest.mark.full)]
+    ("place", "by"),
+    [
+        ("beside", as_stranger),
+        pytest.param("named", as_root_without_rights, marks=pytest.mark.full),
+    ],
 )
 
 
@@ -105,7 +109,6 @@ def files_of(folder):
 
 @pytest.mark.full
 @BOTH
-@pytest.mark.parametrize("place", ["beside", "named"])
 def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place, by):
     home = own_folder(tmp_path / "home", by)
     cache = shipped / "named" if place == "named" else None
@@ -115,9 +118,7 @@ def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place,
     assert not list(home.rglob("*.nb?"))
 
 
-@pytest.mark.few(1)
 @BOTH
-@pytest.mark.parametrize("place", ["beside", "named"])
 def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
     shipped, tmp_path, place, by
 ):
