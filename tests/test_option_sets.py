@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,3 +113,9 @@ def test_the_plugin_of_qgis_offers_the_methods_and_formats_that_are_declared():
     (method,) = (one for one in Options.options() if one.name == "method")
     assert tuple(ast.literal_eval(named["METHODS"])) == method.metadata["kind"].choices
     assert ast.literal_eval(named["MESH_ENDINGS"]) == MESH_ENDINGS
+
+
+def test_the_page_on_meshes_has_a_row_of_each_format():
+    page = (ROOT / "docs/meshes.md").read_text("utf-8")
+    first = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `.")]
+    assert sorted(re.findall(r"`(\.\w+)`", " ".join(first))) == sorted(MESH_ENDINGS)

@@ -2,12 +2,17 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from cases import some
+
+from terrainwave.coding.compiled import TRIED
 
 ROOT = Path(__file__).parents[2]
 
@@ -134,3 +139,13 @@ def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "TERRAINWAVE_COMPILER: found quick, expected fast, plain or nothing" in line
+
+
+def test_ci_runs_each_release_that_the_list_names():
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text())
+    assert tuple(workflow["jobs"]["numba"]["strategy"]["matrix"]["numba"]) == TRIED
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (lowest,) = (name for name in project["dependencies"] if name.startswith("numba"))
+    assert lowest == f"numba>={TRIED[0]}"
+    page = (ROOT / "docs" / "how-to" / "containers.md").read_text(encoding="utf-8")
+    assert re.search(rf"\({TRIED[0]} to {TRIED[-1]}\)", page)
