@@ -177,3 +177,11 @@ def test_an_interrupted_end_still_waits_for_the_threads():
     finally:
         signal.signal(signal.SIGINT, before)
     assert is_done
+
+
+def test_one_thread_starts_no_other():
+    before = threading.active_count()
+    with Crew(1) as crew:
+        assert list(crew.map(lambda _: threading.active_count(), range(3))) == [before] * 3
+        crew.grow(lambda number: range(number), [3])
+        assert threading.active_count() == before
