@@ -54,6 +54,35 @@ def bilinear_error(heights, stride, originals, valid, row=0, col=0):
     return max(errors, default=Fraction(0))
 
 
+def recursive_errors(levels, side, bound):
+    """Return Err_Appr of every block: Yusov & Turlapov 2010, equation (2), by block (row, column).
+
+    On the finest level `bound`; above it the largest of a block's children, the largest distance of
+    their decoded samples from the block's bilinear surface, and `bound`.
+
+    Parameters
+    ----------
+    levels : list of ndarray
+        Decoded heights of all levels, the coarsest first, without voids. Sizes are multiples of
+        `side`, the cells of a block, and one more sample.
+    """
+    n_rows, n_cols = ((n - 1) // side for n in levels[-1].shape)
+    found = [{(row, col): Fraction(bound) for row in range(n_rows) for col in range(n_cols)}]
+    for coarse, fine in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        errors = {}
+        for row in range(-(-(coarse.shape[0] - 1) // side)):
+            for col in range(-(-(coarse.shape[1] - 1) // side)):
+                own = coarse[row * side :, col * side :][: side + 1, : side + 1]
+                below = fine[2 * row * side :, 2 * col * side :][: 2 * side + 1, : 2 * side + 1]
+                apart = bilinear_error(own, 2, below, np.ones(below.shape, dtype=bool))
+                children = max(
+                    error for (r, c), error in found[0].items() if (r // 2, c // 2) == (row, col)
+                )
+                errors[row, col] = children + apart + bound
+        found.insert(0, errors)
+    return found
+
+
 def outer_region(corner, shape, aprons):
     """Return a region of the level above one, with room for aprons of 0 or 1 on each side."""
     return Region(

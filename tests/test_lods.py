@@ -237,3 +237,17 @@ def test_a_tile_has_few_triangles_more_than_its_share(tmp_path):
 def test_a_budget_of_a_window_needs_no_fine_blocks_along_its_edges(tmp_path):
     with terrainwave.open(made(tmp_path, relief())) as terrain:
         assert terrain.mesh((0, 90, 130, 60), max_triangles=24).n_triangles <= 24
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("frame", ["native", "local", "ecef"])
+def test_all_have_one_origin_and_one_picture(tmp_path, frame):
+    """Voids along an edge are another outline on each level, which moved the middle."""
+    path = made(tmp_path, with_voids())
+    saved = terrainwave.save_lods(path, tmp_path / "a.glb", 4, max_error=2, frame=frame)
+    assert len({one.origin for one in saved}) == 1
+    about = [extras(one.path) for one in saved]
+    assert len({tuple(one["frame"].get("centre", ())) for one in about}) == 1
+    # Between the centres of the outermost pixels, voids or not.
+    bounds = [400000.0, 4000000 - 129 * 30, 400000 + 169 * 30, 4000000.0]
+    assert [one["texture_bounds"] for one in about] == [bounds] * 4

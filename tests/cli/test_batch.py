@@ -515,3 +515,13 @@ def test_a_folder_without_a_fitting_file_is_wrong_usage(tmp_path):
         assert done.exit_code == 2
         assert "found no file in" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_manifest_does_not_grow_with_the_number_of_runs(tmp_path, dems):
+    out = tmp_path / "out"
+    batch_of(dems[:1], out)
+    manifest = out / ".terrainwave-manifest.jsonl"
+    line = manifest.read_text().splitlines()[-1]
+    manifest.write_text("\n".join([line] * 500))
+    assert batch_of(dems[:1], out)[0] == ["skipped"]
+    assert len(manifest.read_text().splitlines()) < 10

@@ -16,6 +16,7 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
+from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
@@ -25,6 +26,7 @@ from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import StorageError
+from terrainwave.grid.quadtree import Block
 from terrainwave.progress import Progress
 
 REPOSITORY = Path(__file__).parent.parent.parent
@@ -797,3 +799,60 @@ def test_a_demo_that_fails_leaves_nothing(tmp_path, monkeypatch, had_run, failur
         assert (directory / "demo.png").read_bytes() == b"of an earlier run"
     else:
         assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
+def test_recursive_errors_are_those_of_equations_2_and_3(tmp_path, method):
+    """Against `reference.recursive_errors`, in heights of half metres."""
+    target, bound = tmp_path / "a.twz", 3
+    heights = (0.5 * terrain_like(129, 129)).astype(np.float32)
+    options = {"method": method, "mesh": "zerotree", "block": 32}
+    terrainwave.compress(heights, target, max_error=bound, **options)
+    with terrainwave.open(target) as terrain:
+        levels = [terrain.read(level=level) for level in range(terrain.n_levels)]
+        quanta = [(2 * level).astype(np.int64) for level in levels]
+        heights_errors, sums = [], []
+        for level, errors in enumerate(recursive_errors(quanta, 32, 2 * bound)):
+            above = terrain.n_levels - 1 - level
+            heights_errors.append(float(max(errors.values())) / 2)
+            # Err_Tri of section 2.6: a quarter is of the error that the index holds, rounded up.
+            own = {place: terrain.block_error(Block(level, *place)) for place in errors}
+            sums.append(
+                max(
+                    float(error) / 2 + max(bound * 2**above, own[place] / 4 if above else 0)
+                    for place, error in errors.items()
+                )
+            )
+    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
+    assert fields["level_errors"] == heights_errors
+    assert fields["level_mesh_errors"] == sums
+    last = run("info", target, "--errors", "recursive").stdout.splitlines()[-1]
+    assert last.split()[-2:] == ["3", "6"]
+
+
+def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
+    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
+    bar, quiet = Bar(), Bar(quiet=True)
+    for done in (0, 1, 503, 509, 1000):
+        bar(Progress("encoding", done, 1000))
+        quiet(Progress("encoding", done, 1000))
+    assert capsys.readouterr().err.splitlines() == [
+        f"progress: encoding {percent} %" for percent in (0, 50, 100)
+    ]
+
+
+def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
+    assert "outside int16" in line
+    assert len(line) < 200
+
+
+def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
+    heights = terrain_like(40, 70)
+    heights[3:5, 60:70] = -9
+    path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
+    target = tmp_path / "a.twz"
+    run("compress", path, target, "--method", "store", "--block", "32")
+    assert "marked by the value -9" in run("info", target).stdout
+    assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
+    assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20

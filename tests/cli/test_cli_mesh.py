@@ -286,3 +286,50 @@ def test_decompress_writes_a_height_tile(tmp_path, twz, name):
 def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):
     assert words in one_line(run("decompress", twz, tmp_path / target, *options.split()), 2)
     assert not (tmp_path / target).exists()
+
+
+def with_error(monkeypatch, smallest):
+    """Let `Terrain.mesh` reach any error asked for, down to `smallest`; return those asked for."""
+    asked = []
+
+    def mesh(self, max_error, **options):
+        asked.append(max_error)
+        if max_error < smallest:
+            raise terrainwave.InvalidHeightsError("too small")
+        return grid_mesh(self.read() / 7, self.transform[:6], error=max_error, crs=self.crs)
+
+    monkeypatch.setattr(Terrain, "mesh", mesh)
+    return asked
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.glb"])
+def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)
+    assert 1.9 < found["error"] <= 2
+    assert len(asked) == 2
+    assert asked[1] < 2 - found["rounding"]
+
+
+def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    assert "rounding" not in run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr
+    assert asked == [2.0]
+
+
+def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
+    with_error(monkeypatch, smallest=2.0)
+    result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
+    assert result.exit_code == 0
+    assert "note: rounding of coordinates in the file makes the error larger than" in result.stderr
+    assert (tmp_path / "a.stl").exists()
+
+
+def test_tile_leaves_room_for_rounding_and_curvature(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(
+        run("mesh", twz, tmp_path / "a.terrain", "--max-error", "2", "--json").stdout
+    )
+    # 1/16 is the curvature's, which takes next to nothing of it on cells of 30 m
+    assert asked == [2 - 2 / 16]
+    assert asked[0] + found["rounding"] < found["error"] <= 2

@@ -147,3 +147,35 @@ def test_the_measured_error_of_a_picture_is_within_its_promise(file, tmp_path, m
     assert 0 < measured <= within <= 2
     assert said["caption"] == f"within {within:.3g} pixels"
     assert f"{said['caption']}; measured {measured:.3g} pixels" in done.output
+
+
+def refused(tmp_path, heights, *options):
+    """Return the line that refuses a picture of an array with the void -1."""
+    compress(np.asarray(heights, dtype=np.int16), tmp_path / "a.twz", nodata=-1, max_error=0,
+             overwrite=True)  # fmt: skip
+    done = run("render", tmp_path / "a.twz", tmp_path / "x.png", "--size", "60x40", "--quiet",
+               *options)  # fmt: skip
+    assert not (tmp_path / "x.png").exists()
+    lines = [line for line in done.output.splitlines() if not line.startswith("compiling")]
+    assert len(lines) == 1
+    return done.exit_code, lines[0]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9)])
+def test_a_raster_without_a_surface_is_one_line(tmp_path, shape):
+    status, line = refused(tmp_path, np.ones(shape))
+    assert status == 1
+    assert f"the raster has {shape[0]} x {shape[1]}" in line
+
+
+def test_a_raster_of_voids_is_one_line(tmp_path):
+    status, line = refused(tmp_path, np.full((40, 40), -1))
+    assert (status, "voids only" in line) == (1, True)
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched", "full"])
+def test_a_picture_of_voids_is_one_line(tmp_path, mode):
+    heights = np.full((40, 40), -1)
+    heights[:9, :9] = 5
+    status, line = refused(tmp_path, heights, "--bounds", "25,25,35,35", "--mode", mode)
+    assert (status, "is void" in line) == (1, True)

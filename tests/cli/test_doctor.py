@@ -113,3 +113,29 @@ def test_a_native_library_that_is_missing_is_told_with_the_reason(
 def test_what_programs_print_cannot_reach_the_terminal(gdal):
     gdal("GDAL 3.6.2\x1b[31m, released", KNOWS)
     assert "\x1b" not in run("doctor").stdout
+
+
+@pytest.mark.parametrize("has_plugin", [True, False])
+def test_folders_that_the_variable_names_are_looked_into(gdal, tmp_path, monkeypatch, has_plugin):
+    gdal("GDAL 3.6.2, released 2023/01/02", UNKNOWN, status=1)
+    folder = tmp_path / "plugins"
+    (folder / "3.6").mkdir(parents=True)
+    # GDAL takes the subfolder of its minor version instead of the folder.
+    (folder / "gdal_TWZ.so").touch()
+    if has_plugin:
+        (folder / "3.6" / "gdal_TWZ.so").touch()
+    monkeypatch.setenv("GDAL_DRIVER_PATH", str(folder))
+    told = run("doctor").stdout
+    assert (f"the driver lies in {folder}, but GDAL does not load it" in told) is has_plugin
+    assert ("where no gdal_TWZ is" in told) is not has_plugin
+
+
+OTHER = "ERROR 1: TWZ driver was compiled against GDAL 3.6, but the current library version is 3.10"
+
+
+def test_a_driver_of_another_minor_version_is_told_in_gdals_words(gdal):
+    gdal("GDAL 3.10.3, released 2025/04/01", f"{OTHER}\n{UNKNOWN}", status=1)
+    result = run("doctor")
+    assert result.exit_code == 1
+    assert f"GDAL says: {OTHER}" in result.stdout
+    assert "install the driver that is built for GDAL 3.10" in result.stdout

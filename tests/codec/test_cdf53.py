@@ -231,3 +231,9 @@ def test_reserved_flags_are_rejected():
     spec, coded = root_tile(HEIGHTS[:9, :9])
     with pytest.raises(CorruptStreamError, match="reserved bits must be 0"):
         unpack_head(spec, b"\x02" + coded.payload()[1:])
+
+
+def test_other_methods_cannot_be_read_in_part():
+    with Terrain(twz_bytes(HEIGHTS[:9, :9], max_error=0, method="store")) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected one of method cdf53"):
+            terrain.read_early(quality=1)

@@ -502,3 +502,30 @@ def test_a_server_that_drips_has_a_limit_for_all_of_a_reply(monkeypatch, in_head
         with pytest.raises(SourceUnavailableError, match="has not sent 16,384 bytes in 0 s; try"):
             open_source(server.url)
     assert time.monotonic() - began < 3
+
+
+def test_a_proxy_without_an_address_is_one_clear_line(monkeypatch):
+    for proxy in ("http://[::1", "gopher://127.0.0.1:1", "http://a:b"):
+        monkeypatch.setenv("http_proxy", proxy)
+        assert "expected http://host:port" in problem("http://example.invalid/a")
+
+
+@pytest.mark.parametrize("name", ["REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE", "SSL_CERT_FILE"])
+@pytest.mark.parametrize("content", [None, b"", b"no certificate"])
+def test_a_variable_that_names_no_certificates_is_named(monkeypatch, tmp_path, name, content):
+    path = tmp_path / "ca.pem"
+    if content is not None:
+        path.write_bytes(content)
+    monkeypatch.setenv(name, str(path))
+    found = problem("https://127.0.0.1:1/a")
+    assert found.startswith(f"{name} is {path}: found no certificates there")
+
+
+@pytest.mark.parametrize(("status", "n_asked"), [(403, 1), (503, 3)])
+def test_a_proxy_that_makes_no_tunnel_is_named(monkeypatch, proxy, status, n_asked):
+    proxy.tunnel_status = status
+    monkeypatch.setenv("https_proxy", proxy.url)
+    with pytest.raises(StorageError, match=f"the proxy {proxy.url} answers {status}") as caught:
+        open_source("https://example.invalid/a")
+    assert len(proxy.asked) == n_asked
+    assert isinstance(caught.value, SourceUnavailableError) == (status == 503)

@@ -1,6 +1,7 @@
 """Temporary stores of segments: any order, little memory, no files left."""
 
 import errno
+import pickle
 import threading
 
 import numpy as np
@@ -121,4 +122,12 @@ def test_after_a_failed_write_the_payloads_are_still_there(tmp_path, monkeypatch
     monkeypatch.setattr(spool, "_directory", str(tmp_path))
     spool.finish()
     assert list(spool.chunks([key(7)])) == [payload(7), payload(7)[:5]]
+    spool.close()
+
+
+def test_a_pickled_spool_reads_the_same_file(tmp_path):
+    spool = filled(tmp_path)
+    copy = pickle.loads(pickle.dumps(spool))
+    keys = [key(n) for n in range(60)]
+    assert list(copy.chunks(keys)) == list(spool.chunks(keys))
     spool.close()

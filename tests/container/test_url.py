@@ -505,3 +505,34 @@ def test_closing_ends_what_waits_for_a_silent_server(server):
     server.woken.set()
     assert problems
     assert problems[0].endswith("is closed")
+
+
+def test_an_empty_file_is_truncated(server):
+    server.files["/a"] = b""
+    with pytest.raises(TruncatedStreamError):
+        open_container(server.url("/a"))
+
+
+def test_an_expired_redirect_is_asked_for_again(server):
+    server.files["/b"] = server.files["/c"] = bytes(100_000)
+    server.faults["/a"] = "->/b"
+    source = open_source(server.url("/a"))
+    server.faults |= {"/a": "->/c", "/b": 403}
+    assert source.read(50_000, 10) == bytes(10)
+    source.close()
+
+
+def test_a_connection_lost_in_fsspec_is_tried_again(memory, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", (0.0, 0.0))
+    memory.pipe("/a", b"abc")
+    source = open_source("memory://a")
+    attempts = []
+
+    def fail(*_, **__):
+        attempts.append(1)
+        raise ConnectionResetError("reset by peer")
+
+    monkeypatch.setattr(type(memory), "cat_file", fail)
+    with pytest.raises(StorageError, match="reset by peer"):
+        source.read(0, 3)
+    assert len(attempts) == 3

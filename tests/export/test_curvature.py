@@ -281,3 +281,16 @@ def test_no_point_of_a_triangle_is_further_off_than_its_edges_say():
             flat = weights @ bends.on_globe[number]
             off = np.linalg.norm(way.geocentric(weights @ triangle) - flat, axis=1)
             assert off.max() <= 9 / 8 * most + 1e-8
+
+
+def test_a_budget_of_triangles_holds_and_is_used_against_the_curvature(tmp_path):
+    path = raster(tmp_path, "30 km of UTM")
+    errors = []
+    for most in (100, 3000):
+        saved = run(
+            "mesh", path, tmp_path / f"{most}.ply", "--frame", "ecef", "--max-triangles", most,
+            "--json",
+        )  # fmt: skip
+        assert most / 5 < saved["n_triangles"] <= most
+        errors.append(saved["error"])
+    assert errors[1] < errors[0] / 8 < 33 / 8

@@ -336,3 +336,18 @@ def test_without_widgets_there_is_the_picture(terrain):
     assert data["application/vnd.jupyter.widget-view+json"]["model_id"] == widget.model_id
     assert data["text/html"] == terrain._repr_html_()
     assert data["text/plain"] == f"<Explorer of {terrain!r}>"
+
+
+HOSTILE = [
+    None, 5, "ranges", [], [["id", "1"]], {}, {"what": "ranges"}, {"id": 1, "what": "ranges"},
+    {"id": "", "what": "ranges"}, {"id": "x" * 81, "what": "ranges"}, {"id": ["1"], "what": "x"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("message", HOSTILE, ids=repr)
+def test_a_message_without_an_id_is_refused(page, message):
+    channel_of(Source(b"abc"), page).take(message)
+    ((content, buffers),) = page.sent
+    assert content["id"] is None
+    assert content["error"]["message"] == "found a message without an id, expected one"
+    assert buffers == []

@@ -576,3 +576,11 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
 
 
 # Where nobody knows the unit, nobody says metres.
+
+
+def test_tiles_off_the_terrain_are_empty(hilly):
+    with client_of(hilly) as client:
+        assert client.get("/hills/rgb/10/0/0.png").status_code == 204
+        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
+        far = client.get("/hills/height", params={"lon": 100, "lat": 0}).json()
+    assert far["height"] is None

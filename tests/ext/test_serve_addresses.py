@@ -1,6 +1,7 @@
 """Do addresses of `terrainwave serve` lead to what they name, after restarts and behind proxies?"""
 
 import pytest
+from commands import one_line, run
 from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 
@@ -227,3 +228,12 @@ def test_requests_by_the_host_of_the_public_url_are_accepted(hilly):
 def test_a_public_url_that_is_none_is_refused(hilly, url):
     with pytest.raises(InvalidArgumentError, match=r"found public_url .*, expected http or https"):
         make_app([str(hilly)], public_url=url)
+
+
+def test_options_for_proxies_that_are_wrong_are_one_line_of_the_command(hilly):
+    told = one_line(run("serve", hilly, "--public-url", "example.org"), 2)
+    assert "--public-url" in told
+    assert "expected http or https" in told
+    told = one_line(run("serve", hilly, "--proxy", "10.0.0.300"), 2)
+    assert "--proxy" in told
+    assert "an IP address such as 10.0.0.7" in told

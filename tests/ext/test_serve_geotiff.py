@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 from ext.browser import served
-from ext.rasters import BOUNDS, hills, write_twz
+from ext.rasters import BOUNDS
 from fastapi import HTTPException
 from fastapi.testclient import TestClient
 from rasterio.windows import Window
@@ -17,14 +17,9 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.byte_range import Span, asked_span, is_same
-from terrainwave.ext.serve.sending import PART, Desk, begun, parts
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 
 TAG = '"abc"'
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(650, 970), BOUNDS, max_error=2)
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +139,30 @@ def test_an_answer_that_has_begun_waits_where_others_are_refused(monkeypatch):
 def test_ranges_are_read_as_the_standard_says(headers, expected):
     span = asked_span(headers, 1000, TAG)
     assert span == (expected and Span(*expected[:2], 1000, expected[2]))
+
+
+def places_read(spans):
+    """Return the places that are read, a part each, while one client gets spans of 20 parts."""
+    places = []
+
+    def read(place, n_bytes):
+        places.append(place // PART)
+        return bytes(n_bytes)
+
+    async def get_all():
+        desk, ahead = Desk(1), Ahead(read)
+        for start, stop in spans:
+            span = Span(start * PART, stop * PART, 20 * PART, is_part=True)
+            sent = [part async for part in parts(desk, read, span, ahead)]
+            assert sum(map(len, sent)) == span.stop - span.start
+            while not desk.is_free or (ahead._task and not ahead._task.done()):
+                await asyncio.sleep(0.001)
+
+    asyncio.run(get_all())
+    return places
+
+
+def test_what_a_client_that_reads_on_will_ask_for_is_made_before():
+    assert places_read([(4, 6), (9, 11)]) == [4, 5, 9, 10]
+    assert places_read([(4, 6), (6, 8)]) == [4, 5, 6, 7, 8, 9, 10, 11]
+    assert places_read([(12, 18)]) == [12, 13, 14, 15, 16, 17, 18, 19]

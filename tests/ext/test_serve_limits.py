@@ -8,6 +8,7 @@ import socket
 import threading
 
 import pytest
+from commands import one_line, run
 from ext.browser import served
 from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
@@ -274,3 +275,8 @@ def test_a_file_that_takes_the_place_of_another_has_another_tag(tmp_path):
     other, status = tag_and_status(tag)
     assert other != tag
     assert status == 200
+
+
+@pytest.mark.parametrize("name", ["a b", "*x", "http://a", "a:80", ""])
+def test_what_is_no_host_name_is_wrong_usage(hilly, name):
+    assert "host name" in one_line(run("serve", hilly, "--allow-host", name, "--port", "0"), 2)

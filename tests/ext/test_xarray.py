@@ -262,3 +262,8 @@ def test_damaged_blocks_of_a_file_without_voids_are_nan(tmp_path):
         found = terrain.to_xarray()
         assert found.dtype == "float32"
         assert 0 < np.isnan(found.values).sum() < heights.size
+
+
+def test_variables_can_be_dropped(terrain_file):
+    with xr.open_dataset(terrain_file, drop_variables="spatial_ref") as dataset:
+        assert set(dataset.coords) == {"x", "y"}

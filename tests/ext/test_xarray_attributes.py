@@ -10,7 +10,7 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.errors import TerrainwaveWarning
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.raster_io.source import RasterSource
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
@@ -195,3 +195,16 @@ def test_stored_values_of_a_file_are_scaled_once(tmp_path, dtype):
         assert read(dataset.heights[1:])[0].scale == 0.1
         assert dataset.heights.terrainwave.bound() == 0
         assert read(by_hand(dataset.heights))[0].scale == 1.0
+
+
+def test_one_sample_of_an_unknown_size_is_refused():
+    with pytest.raises(InvalidHeightsError, match="has one sample along y"):
+        read(stacked("topleft")[..., 3:4, 5:6])
+
+
+@pytest.mark.parametrize("write_crs", [False, True])
+def test_transform_of_another_shape_is_no_place(write_crs):
+    array = stacked(False)[..., 2:, :]
+    info, notes = read(array.rio.write_crs(32632) if write_crs else array)
+    assert info.crs is None
+    assert any("10 x 12 samples, and its attribute transform is of 12 x 12" in n for n in notes)

@@ -7,11 +7,12 @@ import pytest
 import xarray as xr
 from pyproj import CRS as ProjCRS
 from rasterio.control import GroundControlPoint
+from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.grid.affine import coordinates
+from terrainwave.grid.affine import IDENTITY, coordinates
 from terrainwave.raster_io.source import RasterSource
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
@@ -487,3 +488,43 @@ def test_numbers_without_sign_in_a_type_with_one_are_refused_until_they_are_deco
     np.testing.assert_array_equal(np.flatnonzero(~valid), [0])
     np.testing.assert_array_equal(heights[0, 1:3], [65534, 35536])
     assert info.nodata is None or info.nodata != -1
+
+
+def test_several_variables_are_named_in_one_line(tmp_path):
+    data = xr.Dataset({"elevation": labelled(), "slope": labelled(), "time": 3})
+    with pytest.raises(InvalidHeightsError, match=r"elevation, slope;.*dataset\['elevation'\]"):
+        terrainwave.compress(data, tmp_path / "a.twz")
+    assert not (tmp_path / "a.twz").exists()
+
+
+@pytest.mark.parametrize(
+    ("transform", "words"),
+    [
+        (Affine(0, 0, 5, 0, -30, 7), "puts all samples on one line or point"),
+        (Affine(2, 1, 5, 4, 2, 7), "puts all samples on one line or point"),
+        (Affine(0, 0, 5, 0, 0, 7), "puts all samples on one line or point"),
+    ],
+)
+def test_a_transform_that_places_nothing_is_named(transform, words):
+    array = xr.DataArray(terrain_like(9, 9), dims=("y", "x"))
+    array = array.rio.write_crs("EPSG:32633").rio.write_transform(transform)
+    with pytest.warns(TerrainwaveWarning, match=words) as warned, RasterSource(array) as source:
+        assert (source.info.transform, source.info.crs) == (IDENTITY, None)
+    assert len(warned) == 1
+    assert "and the CRS with it" in str(warned[0].message)
+
+
+def test_crs_of_a_file_without_transform_is_dropped_with_a_note(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", HEIGHTS, crs="EPSG:32633")
+    _, _, info, notes = read(path)
+    assert info.crs is None
+    assert "no transform says where its samples lie" in notes[0]
+    with pytest.warns(TerrainwaveWarning, match="no transform"):
+        terrainwave.compress(path, tmp_path / "a.twz", max_error=0)
+    assert terrainwave.verify(tmp_path / "a.twz", path).ok
+
+
+def test_mosaic_needs_places(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", HEIGHTS, transform=Affine(*TRANSFORM))
+    with pytest.raises(InvalidArgumentError, match="georeference False and 2 rasters"):
+        read([path, path], georeference=False)

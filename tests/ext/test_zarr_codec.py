@@ -314,3 +314,10 @@ def test_a_value_that_looks_like_voids_is_named_before_it_is_rounded(dtype, stab
     codec = TerrainwaveCodec(max_error=2, stable=stable)
     with pytest.warns(TerrainwaveWarning, match="90 heights are -9999.* declare the nodata value"):
         make_array(heights, (40, 30), codec=codec)
+
+
+def test_nodata_of_the_codec_goes_before_the_fill_value():
+    heights = terrain_like(20, 20)
+    heights[5:9] = 0
+    array, _ = make_array(heights, (20, 20), codec=TerrainwaveCodec(max_error=3, nodata=0))
+    np.testing.assert_array_equal(array[...] == 0, heights == 0)

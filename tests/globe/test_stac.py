@@ -107,3 +107,10 @@ def test_voids_alone_have_no_statistics(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", np.full((9, 9), -1, "int16"), nodata=-1, **place)
     terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
     assert "statistics" not in item_of(tmp_path / "a.twz")["assets"]["data"]["raster:bands"][0]
+
+
+def test_a_crs_without_a_code_is_wkt2(tmp_path):
+    crs = "+proj=laea +lat_0=52 +lon_0=10 +datum=WGS84"
+    item = item_of(made(tmp_path, crs, (1000.0, 0.0, 0.0, 0.0, -1000.0, 0.0)))
+    assert item["properties"]["proj:wkt2"].startswith("PROJCRS[")
+    assert "datetime" in item["properties"]

@@ -496,3 +496,31 @@ def test_errors_of_tiles_have_the_curvature_of_the_globe_between_their_vertices(
         assert about["surfaceerror"] < max(2 * pyramid._heights.edge_tolerance(zoom), 1.5 * whole)
         line = [(area.first_x, area.first_y), (area.first_x + 1, area.first_y)]
         assert_edges_agree(pyramid, zoom, [(*line, "east", "west")])
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"cells": 12}, "found cells 12, expected a power of two"),
+        ({"void_height": np.inf}, "found void_height inf, expected a finite number"),
+        ({"void_height": 1e7}, "expected at most 4,000 km"),
+    ],
+)
+def test_options_out_of_range_are_refused(tmp_path, options, line):
+    with open_terrain(tmp_path, steep(8, 8), UTM, "EPSG:32633") as terrain:
+        with pytest.raises(InvalidHeightsError, match=line):
+            TilePyramid(terrain, **options)
+
+
+def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
+    with open_terrain(tmp_path, steep(40, 40), UTM, "EPSG:32633") as terrain:
+        whole = TilePyramid(terrain).available
+        written = write_tiles(terrain, tmp_path / "t", min_zoom=4, max_zoom=6, threads=1)
+        expected = {zoom: whole(zoom) for zoom in (0, 4, 5, 6)}
+    assert [one.zoom for one in written] == [0, 4, 5, 6]
+    layer = json.loads((tmp_path / "t" / "layer.json").read_text())
+    assert (layer["minzoom"], layer["maxzoom"]) == (4, 6)
+    assert [len(tiles) for tiles in layer["available"]] == [1, 0, 0, 0, 1, 1, 1]
+    there = tiles_in(tmp_path / "t")
+    assert tiles_listed(layer) == there
+    assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)

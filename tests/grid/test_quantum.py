@@ -443,3 +443,9 @@ def test_a_strict_bound_counts_the_rounding_of_binary_steps_finer_than_floats():
     assert not plain.is_strict(float(bound))
     half = strict.step >> 1
     assert max(exact_errors(there_and_back(strict, heights, -half), heights)) <= bound
+
+
+def test_a_raster_without_valid_samples_has_a_quantum():
+    scan = HeightScan("float32")
+    scan.update(np.full((2, 2), np.nan, dtype="float32"), np.zeros((2, 2), dtype=bool))
+    assert scan.true_quantum() == 1

@@ -1,15 +1,18 @@
 """Meshes of zero trees alone: watertight, once over their area, their errors true."""
 
+import json
 import os
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import area_problems, cases, make_case, write_case
 from render.scenes import hills
 
 import terrainwave
+from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.loose import LooseMesher
@@ -141,3 +144,23 @@ def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
             assert apart <= builder.build(piece).drawn_error
             n_further += apart > terrain.mesh_error(block)
     assert n_further > 0
+
+
+def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
+    levels = json.loads(
+        CliRunner().invoke(main, ["info", str(smooth), "--meshes", "--json"]).output
+    )
+    levels = levels["meshes"]
+    with terrainwave.open(smooth) as terrain:
+        for found, shape in zip(levels, terrain.info().level_shapes, strict=True):
+            mesh = terrain.mesh(level=found["level"], optimise=0)
+            # The blocks' own, which reach past the raster's edge, where the mesh is cut off.
+            assert found["n_triangles"] == pytest.approx(mesh.n_triangles, rel=0.2, abs=40)
+            assert 0 < found["label_bits"] < 2
+            assert tuple(shape) == terrain.level_shape(found["level"])
+        is_finest = [found["significant"] is None for found in levels]
+        assert is_finest == [False, False, False, True]
+        assert 0 < levels[1]["significant"] < 0.5
+        assert levels[2]["n_loose"] < levels[2]["n_triangles"]
+    table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
+    assert f"{levels[3]['n_triangles']:,}" in table

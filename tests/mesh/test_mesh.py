@@ -412,3 +412,43 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     assert report.levels == ()  # only meshes of the area
     store_meshes(path, tmp_path / "later.twz", mesh_error=7)
     assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
+
+
+def covered_area(mesh):
+    """Return the area of a mesh's triangles over the plane."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner], :2] for corner in range(3))
+    (x_1, y_1), (x_2, y_2) = (b - a).T, (c - a).T
+    return float(np.abs(x_1 * y_2 - x_2 * y_1).sum() / 2)
+
+
+@pytest.mark.large
+def test_a_budget_that_outlines_leave_room_for_keeps_them(tmp_path):
+    shape = (100, 100)
+    case = make_case("noise", "none", shape, 1, max_error=1, block=32)
+    case.valid[20:40, 30:60] = False
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_triangles=2000)
+        # Quads with a void, of which the four at the corners have one triangle.
+        uncovered = 21 * 31 - 4 * 0.5
+        assert covered_area(mesh) == 99 * 99 - uncovered
+        assert area_problems(terrain, case, mesh, Region(0, 0, *shape), None) == []
+        assert covered_area(terrain.mesh(max_triangles=150)) > 99 * 99 - uncovered
+
+
+@pytest.mark.large
+def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
+    case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected at least 5"):
+            terrain.mesh(max_triangles=10**6, max_error=1)
+
+
+def test_the_stated_error_of_a_file_can_be_asked_for(tmp_path):
+    """As float64 it may be less than the exact one."""
+    case = make_case(
+        "steps", "none", (24, 32), 62027, dtype="float64", amplitude=5e4, scale=-2.0, offset=100.0,
+        max_error=5000.0, block=64, method="store",
+    )  # fmt: skip
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_error=terrain.effective_error)
+        assert mesh.error <= terrain.effective_error * (1 + 1e-12)

@@ -520,3 +520,23 @@ def test_radii_become_heights_above_the_ellipsoid(tmp_path):
     quietly(terrainwave.decompress, path, tmp_path / "up.tif", vertical="ellipsoid")
     with rasterio.open(tmp_path / "up.tif") as dataset:
         np.testing.assert_allclose(dataset.read(1), LOLA + 3_396_000.0 - 3_396_190.0, atol=1e-3)
+
+
+def test_a_depth_s_name_over_heights_below_the_sea_is_not_believed(tmp_path):
+    heights = -DEPTHS
+    heights[0, :5] = 3
+    path, notes = made(write_netcdf(tmp_path / "d.nc", heights=heights), tmp_path)
+    (note,) = notes
+    assert "its name: depth means depths, but most numbers are below 0" in note
+    with terrainwave.open(path) as terrain:
+        assert terrain.info().heights_are == "height"
+        assert quietly(Globe, terrain).height_range == (-60, 3)
+
+
+def test_numbers_of_which_some_are_near_the_radius_are_heights_with_a_note(tmp_path):
+    path, notes = made(moon(tmp_path / "z.tif", "zeros between"), tmp_path)
+    assert "only some of its numbers are near the radius" in notes[0]
+    with terrainwave.open(path) as terrain:
+        assert terrain.info().heights_are == "height"
+    path, notes = made(moon(tmp_path / "z.tif", "zeros between"), tmp_path, nodata=0)
+    assert "taken for radii" in notes[0]

@@ -179,3 +179,16 @@ def test_of_tiles_those_of_the_zoom_that_fits_are_fetched_and_missing_ones_are_c
         server.is_down = True
         with pytest.raises(StorageError, match="cannot warp http"):
             photo.part((0.0, 0.0, 60.0, 40.0), (60, 40))
+
+
+def test_grey_alpha_and_palettes_become_colours(tmp_path):
+    grey, alpha = noise(*SHAPE), noise(*SHAPE, seed=2) // 128 * 255
+    found = drape(write(tmp_path / "g.tif", [grey, alpha], alpha=True)).pixels
+    assert (found[..., 3] == alpha).all()
+    seen = alpha == 255
+    assert (found[seen, :3] == grey[seen, None]).all()
+    table = {0: (255, 0, 0, 255), 1: (0, 255, 0, 255), 2: (9, 9, 9, 255)}
+    classes = noise(*SHAPE) % 3
+    found = drape(write(tmp_path / "p.tif", [classes], colormap=table)).pixels
+    expected = np.array([table[k] for k in range(3)])[classes]
+    np.testing.assert_array_equal(found, expected)

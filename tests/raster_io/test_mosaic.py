@@ -323,3 +323,25 @@ def test_vrt_is_void_where_it_has_no_source(four_tiles, tmp_path):
     assert not valid[:20, 30:].any()
     np.testing.assert_array_equal(heights[valid], whole[valid])
     assert valid.sum() == 2 * 20 * 30
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_vertical_datum_that_one_raster_names_is_to_be_named_by_the_other(tmp_path, order):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), crs="EPSG:2056")
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, crs="EPSG:2056+5728")
+    words = r"has a vertical datum, LN02 height.*gdal_edit -a_srs EPSG:2056\+5728"
+    with pytest.raises(InvalidHeightsError, match=words):
+        RasterSource([first, second][::order])
+
+
+@pytest.mark.parametrize("lefts", [(179, -180), (-180, 179), (359, 0)])
+def test_a_mosaic_of_both_sides_of_180_says_why_it_is_empty(tmp_path, lefts):
+    paths = [
+        write_geotiff(
+            tmp_path / f"{left}.tif", terrain_like(4, 4), nodata=-1, crs="EPSG:4326",
+            transform=Affine(0.25, 0, left, 0, -0.25, 10),
+        )
+        for left in lefts
+    ]  # fmt: skip
+    with pytest.warns(TerrainwaveWarning, match=r"cover .* void: they lie on both sides of 180"):
+        RasterSource(paths).close()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from render.scenes import ListStore, apart_on_screen, hills, random_camera, terrain_of
 
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.gpu.block_surface import grid_mesh
 from terrainwave.render.modes.neville import fill_details, filtered
 from terrainwave.render.modes.regular import half_place, largest_deviation
@@ -342,3 +343,22 @@ def test_all_blocks_in_view_are_loaded_breadth_first_once_the_needed_are_here():
             scene.update(view)
             assert not scene._requested
             assert set(scene.store.patches) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"detail": 1.0}, "expected error 'paper'"),
+        ({"detail": -1.0, "error": "paper"}, "expected a finite number > 0"),
+        ({"order": 3}, "expected 2 or 4"),
+        ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
+        ({"stepwise": True}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 32}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 24, "mode": "dynamic"}, "found tree 24, expected a power of two, 2 … 256"),
+        ({"tree": 512, "mode": "vertex-texture"}, "found tree 512, expected a power of two"),
+    ],
+)
+def test_options_that_a_mode_does_not_have_are_refused(options, words):
+    heights = np.zeros((40, 40), dtype=np.int16)
+    with terrain_of(heights, block=32) as terrain, pytest.raises(InvalidArgumentError, match=words):
+        Scene(terrain, ListStore(), **{"mode": "batched", **options})

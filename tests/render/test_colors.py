@@ -3,6 +3,10 @@
 import numpy as np
 import pytest
 
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.render.look.colorings import MEANINGS, RAMP_NAMES
+from terrainwave.render.look.ramps import RAMPS
+from terrainwave.render.look.style import COLORINGS, Style
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.scales import HeightScale, HeightTexels, Texels
 
@@ -23,3 +27,19 @@ def test_heights_in_textures_are_near_enough_to_colour_by(heights):
     apart = np.abs(stored * texels.scale + texels.reference - quanta / 4)
     assert apart.max() <= (heights[1] - heights[0]) / 2000
     assert apart[4, 4] <= 0.001 * texels.scale
+
+
+def test_auto_is_absolute_on_the_earth_and_relative_elsewhere():
+    assert Style().is_absolute("earth")
+    assert not any(Style().is_absolute(body) for body in ("moon", "mars", "other", "unknown"))
+    assert not Style(ramp="cividis").is_absolute("earth")
+    assert not Style(coloring="relative").is_absolute("earth")
+    assert Style(coloring="absolute").is_absolute("unknown")
+    ramps = {body: Style().ramp_on(body) for body in ("unknown", "moon", "mars", "other")}
+    assert ramps == {"unknown": "tints", "moon": "grey", "mars": "mars", "other": "grey"}
+    assert Style(ramp="cividis").ramp_on("mars") == "cividis"
+    Style(coloring="absolute").check_body("earth")
+    with pytest.raises(InvalidArgumentError, match="and a raster on the Moon"):
+        Style(coloring="absolute").check_body("moon")
+    assert set(MEANINGS) == set(COLORINGS)
+    assert tuple(RAMPS) == RAMP_NAMES

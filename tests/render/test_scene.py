@@ -392,3 +392,13 @@ def test_a_long_flight_keeps_few_pieces_known_and_draws_the_same(monkeypatch):
                 assert max(n_known) < 450
                 assert len(scene.table) < 450
     assert n_drawn > 100
+
+
+def test_a_full_store_raises_tau_rather_than_wait_for_ever():
+    heights = np.round(hills(200, 200, 8)).astype(np.int16)
+    store = ListStore(max_blocks=12)
+    store.put = lambda node, patch, put=store.put: len(store.patches) < 9 and put(node, patch)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store) as scene:
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
+        frames = scene.settle(view, timeout=60)
+        assert frames.tau > 0.5

@@ -8,10 +8,12 @@ import pytest
 from PIL import Image
 from render.scenes import ListStore, terrain_of
 
+from terrainwave.render.gpu.overlay import draw_overlay, line_triangles
 from terrainwave.render.look.style import Style
 from terrainwave.render.paging.background import Background
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.render.scene.measure import Ruler, read_profile
 from terrainwave.render.window.controls import Controls
 from terrainwave.render.window.ground import Ground
 from terrainwave.render.window.pictures import read_flight
@@ -169,3 +171,48 @@ def test_background_work_has_ended_when_it_is_closed():
     may_end.set()
     background.close()
     assert ended == [True]
+
+
+def test_the_graph_of_a_profile_lies_below_on_the_left(stage):
+    profile = read_profile(
+        stage.scene.terrain, Ruler(stage.scene.terrain), [(500015, 5199085), (502200, 5199085)]
+    )
+    image = draw_overlay(Viewport(640, 480), Camera((0, 0, 0)), [], None, None, profile)
+    yellow = np.argwhere((image[..., 0] == 255) & (image[..., 2] == 64))
+    assert yellow[:, 0].min() > 320
+    assert yellow[:, 1].max() < 520
+    rising = [yellow[yellow[:, 1] == col, 0].mean() for col in (100, 400)]
+    assert rising[0] > rising[1]
+
+
+def test_a_line_has_gaps_where_it_is_behind_the_eye_and_dots_at_its_ends():
+    pixels = np.array([(10.0, 10.0), (20.0, 10.0), (np.nan, np.nan), (30.0, 20.0)])
+    corners = line_triangles(pixels, VIEWPORT)
+    assert corners.shape == (3 * (2 + 2 * 2), 2)
+    assert line_triangles(np.full((2, 2), np.nan), VIEWPORT).shape == (0, 2)
+
+
+def test_a_long_help_fits_a_small_window():
+    lines = [(f"key {number}", "what it does, in some words") for number in range(26)]
+    image = draw_overlay(Viewport(480, 360), Camera((0, 0, 0)), [], None, lines)
+    words = np.argwhere((image[..., 0] > 150) & (image[..., 1] > 120) & (image[..., 2] < 150))
+    assert len(words)
+    assert (words.min(axis=0) > 10).all()
+    assert words.max(axis=0)[0] < 350
+
+
+def test_settings_name_what_was_asked_for_and_what_is(stage):
+    found = dict(stage.session.settings(stage.frames, 64 << 20, 512 << 20))
+    assert found["mode"] == "adaptive, error measured"
+    assert found["memory"] == "64 of 512 MiB on the GPU"
+    assert found["threads"] == "2 read and decode"
+    assert found["pixel error"].startswith("1 asked")
+
+
+def test_a_flight_that_cannot_be_saved_is_a_line_and_not_the_end(terrain, tmp_path):
+    stage = Stage(terrain, tmp_path / "gone")
+    stage.press("f", "f")
+    assert "gone" in stage.said[-1]
+    assert stage.session.lines(stage.frames) == [stage.said[-1]]
+    stage.session.close()
+    stage.scene.close()

@@ -14,6 +14,7 @@ from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
     InvalidHeightsError,
+    StorageError,
 )
 from terrainwave.place.meaning import Told
 from terrainwave.verification.heights import verify
@@ -456,3 +457,10 @@ def test_a_part_needs_an_original_and_no_meshes(patched, tmp_path):
         verify(tmp_path / "a.twz", part=True)
     with pytest.raises(InvalidArgumentError, match="found part with mesh"):
         verify(tmp_path / "a.twz", tmp_path / "new.tif", part=True, mesh=True)
+
+
+def test_missing_original_is_named(tmp_path, monkeypatch):
+    terrain = FakeTerrain(terrain_like(4, 4))
+    monkeypatch.setattr("terrainwave.terrain.Terrain", lambda _, **__: terrain)
+    with pytest.raises(StorageError, match="no such file"):
+        verify("a.twz", tmp_path / "a.tif")
