@@ -57,7 +57,7 @@ WITHOUT_KERNELS = {
 # `large`.
 OF_FILES = {
     "export", "globe", "write", "test_batched.py", "test_beginnings.py", "test_captions.py",
-    "test_coefficients.py", "test_colors.py", "test_determinism.py", "test_drape_detail.py",
+    "test_coefficients.py", "test_colors.py", "test_determinism.py",
     "test_front_pixels.py", "test_lods.py", "test_loose.py", "test_names.py", "test_pixels.py",
     "test_read_ahead.py", "test_salvage.py", "test_solid.py", "test_terrain.py",
     "test_unmeasured.py", "test_voids.py", "test_water.py",

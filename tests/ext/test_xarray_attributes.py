@@ -90,46 +90,6 @@ def test_pixels_lie_where_the_transform_says(xy_coords, part):
     assert any("corners of pixels" in note for note in notes) == (xy_coords == "topleft")
 
 
-def shifted(array, x, y):
-    return array.assign_coords(x=array.x + x, y=array.y + y)
-
-
-CENTRES = {
-    "averages of 2": (
-        lambda array: array.coarsen(x=2, y=2).mean(),
-        (20.0, 0.0, 500_000.0, 0.0, -20.0, 5_000_000.0),
-    ),
-    "averages of 3": (
-        lambda array: array.coarsen(x=3, y=3).mean(),
-        (30.0, 0.0, 500_000.0, 0.0, -30.0, 5_000_000.0),
-    ),
-    "every other one": (
-        lambda array: array[..., ::2, ::2],
-        (20.0, 0.0, 499_995.0, 0.0, -20.0, 5_000_005.0),
-    ),
-    "between columns": (
-        lambda array: array.interp(x=array.x.values[:-1] + 5),
-        (10.0, 0.0, 500_005.0, 0.0, -10.0, 5_000_000.0),
-    ),
-    "moved": (lambda array: shifted(array, 3, 3), (10.0, 0.0, 500_003.0, 0.0, -10.0, 5_000_003.0)),
-    "moved by half a pixel down": (
-        lambda array: shifted(array, 0, -5), (10.0, 0.0, 500_000.0, 0.0, -10.0, 4_999_995.0)
-    ),
-    "finer": (
-        lambda array: array.interp(x=500_020 + 5.0 * np.arange(9)),
-        (5.0, 0.0, 500_017.5, 0.0, -10.0, 5_000_000.0),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("change", CENTRES)
-def test_coordinates_count_where_the_transform_is_of_other_pixels(change):
-    change, place = CENTRES[change]
-    info, notes = read(change(stacked("center")))
-    assert info.transform == pytest.approx(place, rel=0, abs=1e-6)
-    assert any("are not those of its attribute transform" in note for note in notes)
-
-
 def test_array_without_coordinates_has_the_place_of_its_transform():
     info, notes = read(stacked(False))
     assert (info.transform, info.crs, notes) == (PLACE, "EPSG:32632", [])

@@ -48,14 +48,6 @@ def read(source, **options):
             return *raster.read(0, 0, info.n_rows, info.n_cols), info, raster.notes
 
 
-@pytest.mark.parametrize("georeference", [True, False])
-def test_depths_are_known(georeference):
-    for positive, kind in (("down", "depth"), ("up", None)):
-        array = labelled(attrs={"positive": positive})
-        *_, info, _ = read(array, georeference=georeference)
-        assert (info.heights_are, info.band_tags) == (kind, (("positive", positive),))
-
-
 # Which dimension is x.
 
 CF = {
@@ -155,14 +147,6 @@ def test_arrays_that_are_no_raster_are_refused(dims):
 
 
 # Datasets and trees.
-
-
-def test_only_variable_of_a_dataset_is_taken(tmp_path):
-    data = labelled().to_dataset(name="elevation")
-    result = terrainwave.compress(data, tmp_path / "a.twz", max_error=0)
-    assert result.measured_error == 0
-    with terrainwave.open(tmp_path / "a.twz") as terrain:
-        assert terrain.raster_info.transform == TRANSFORM
 
 
 @pytest.mark.parametrize("data", [xr.Dataset(), xr.Dataset({"a": ("x", [1.0])})])

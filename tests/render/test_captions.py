@@ -91,24 +91,6 @@ def test_no_caption_says_less_than_a_gpu_draws(context):
 
 @pytest.mark.gl
 @pytest.mark.large
-def test_heights_as_drawn_are_those_of_the_file_at_its_samples(context, jagged):
-    """All of them, in mode full; where all is void, there are none."""
-    heights = jagged.read(masked=True)
-    with Canvas(jagged, SIZE, mode="full", context=context) as canvas:
-        canvas.draw(seen_from_the_side(canvas), Style())
-        region = canvas.samples_in_view()
-        assert (region.row, region.col) == (0, 0)
-        assert region.shape == heights.shape
-        for drawn in canvas.drawn_heights(region, Style()):
-            inner = drawn[1:-1, 1:-1], heights[1:-1, 1:-1]
-            is_there = ~np.isnan(inner[0]) & ~inner[1].mask
-            assert is_there.sum() > 0.95 * (~inner[1].mask).sum()
-            np.testing.assert_allclose(inner[0][is_there], inner[1][is_there].data, atol=1.01)
-            assert np.isnan(drawn[25:30, 55:70]).all()
-
-
-@pytest.mark.gl
-@pytest.mark.large
 def test_measuring_finds_a_surface_that_is_off(context, jagged, monkeypatch):
     """By about as many pixels as the vertices were moved."""
     from terrainwave.render.gpu import patch_surface

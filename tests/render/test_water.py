@@ -1,18 +1,12 @@
 """Where is water? Only where heights say so: level at 0, or below all dry land."""
 
-import warnings
-
 import numpy as np
 import pytest
-from ext.rasters import write_twz
 from render.scenes import terrain_of
 
-import terrainwave
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.ext.publish import publish_site
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.catalog import describe
-from terrainwave.globe.lonlat import Globe
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.look.water import (
@@ -20,11 +14,8 @@ from terrainwave.render.look.water import (
     LAND,
     LEVEL,
     find_water,
-    may_have_water,
-    read_water,
 )
 from terrainwave.render.scene.camera import top_view
-from terrainwave.render.scene.frame import frame_of
 
 SIDE = 120
 COLS = np.broadcast_to(np.arange(SIDE, dtype=float), (SIDE, SIDE))
@@ -69,34 +60,6 @@ def test_water_is_where_heights_say_so(name, is_turned):
 def test_voids_are_no_depths():
     valid = np.abs(COLS - 60) > 2
     assert not find_water(np.where(valid, VALLEY, -9999.0), valid, 0.02).any()
-
-
-@pytest.mark.parametrize(("radius", "has_water"), [(None, True), (3_396_190.0, False)])
-def test_other_bodies_have_no_sea(radius, has_water):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        place = {"crs": "EPSG:4326", "pixel": 0.01, "corner": (10.0, 60.0)}
-        with terrain_of(np.round(SEA_FLOOR).astype(np.int16), max_error=0, **place) as terrain:
-            frame = frame_of(terrain, radius=radius)
-            assert may_have_water(terrain, frame) is has_water
-            assert bool(read_water(terrain, frame).cells.any()) is has_water
-
-
-def first_color(described):
-    red, _, blue = bytes.fromhex(described["ramps"]["tints"][0][1][1:])
-    return "blue" if blue > red + 20 else "green"
-
-
-def test_the_page_has_the_sea_that_pictures_have(tmp_path):
-    files = {
-        name: write_twz(tmp_path, np.round(heights).astype(np.int16), (8, 46, 9, 47), name=name)
-        for name, heights in (("valley", VALLEY), ("floor", SEA_FLOOR))
-    }
-    expected = {("valley", "auto"): "green", ("floor", "auto"): "blue", ("valley", 0.0): "blue",
-                ("floor", "none"): "green"}  # fmt: skip
-    for (name, sea), color in expected.items():
-        with terrainwave.open(files[name]) as terrain:
-            assert first_color(describe(name, Globe(terrain), sea_level=sea)) == color
 
 
 @pytest.mark.parametrize("sea", ["high", np.nan, np.inf])
