@@ -115,3 +115,11 @@ def check_damaged(refiner, spec, parent, mask, payload):
         return
     assert heights.shape == spec.region.shape
     assert np.abs(heights.astype(np.int64)).max() <= BIG
+
+
+def rough(shape, seed=0):
+    """Return a surface of steps and slopes that no trained stencil was made for."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
+    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int32)

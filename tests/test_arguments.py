@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import terrainwave as tw
-from terrainwave.arguments import checked_number, checked_whole, number_of, shown
+from terrainwave.arguments import checked_number, checked_whole, number_of
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.mesh import Mesh
 
@@ -234,11 +234,6 @@ def test_what_is_a_number(value, number):
     assert type(found) in (int, float, type(None))
 
 
-def test_whole_numbers_may_be_floats():
-    assert checked_whole("level", 2.0) == 2
-    assert type(checked_whole("level", np.float32(2))) is int
-
-
 @pytest.mark.parametrize(
     ("check", "message"),
     [
@@ -254,13 +249,3 @@ def test_whole_numbers_may_be_floats():
 def test_messages_say_what_was_found_and_expected(check, message):
     with pytest.raises(InvalidArgumentError, match=message):
         check()
-
-
-def test_a_text_that_reads_as_a_number_is_not_shown_as_one():
-    assert shown("256") == "the text '256'"
-    assert shown("many") == "'many'"
-
-
-def test_a_number_for_a_word_is_called_a_number(tmp_path):
-    with pytest.raises(InvalidArgumentError, match=r"^found effort the number 1, expected 'fast'"):
-        tw.compress(HEIGHTS, tmp_path / "a.twz", effort=1)

@@ -9,13 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-# A file of each method that codes, one with a mesh; the workflow `next` runs all tests so.
-NAMES = (
-    "rapid-int16-halves",
-    "predictive-int32-rings",
-    "cdf97-int32-rings",
-    "cdf53-uint16-rate",
-)
+# Files of the methods of the default, one with a mesh; the workflow `next` runs all tests so.
+NAMES = "rapid-int16-halves", "predictive-int32-rings"
 WORKER = """
 import json, sys
 from pathlib import Path

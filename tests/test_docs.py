@@ -7,7 +7,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -82,19 +81,6 @@ def test_notebooks_run(path, tmp_path):
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
 
 
-def test_commands_of_the_systems_have_these_options():
-    """They are parsed, not run: their systems have tests of their own."""
-    text = (DOCS / "systems.md").read_text(encoding="utf-8")
-    table = text.split("## System, commands, page")[1].split("\n## ")[0]
-    lines = re.findall(r"`terrainwave ([^`]+)`", table)
-    assert len(lines) > 10
-    for line in lines:
-        name, *arguments = shlex.split(line.replace("FILE", "dem.twz"))
-        command = main.commands[name]
-        context = click.Context(command, info_name=name)
-        command.parse_args(context, arguments)  # an error says what is wrong
-
-
 def test_every_page_has_a_place_in_the_site():
     """MkDocs builds the others too, but nobody finds them."""
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
@@ -128,18 +114,6 @@ def test_files_that_pages_for_contributors_name_exist(page):
         assert path.exists() or "…" in path.name, path
 
 
-def test_the_table_of_parts_selects_what_the_makefile_does():
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\|[^|]*\| `(test-\w+)` \|.*?`-m (?:\"([^\"]+)\"|(\w+))`",
-        TESTS_PAGE.read_text(encoding="utf-8"),
-        re.M,
-    )
-    made = re.findall(r"^(test-\w+):.*\n.* -m (?:\"([^\"]+)\"|(\w+))(?: |$)", makefile, re.M)
-    assert len(rows) == 4
-    assert rows == made
-
-
 def test_marks_of_the_table_are_those_that_tests_may_have():
     """All but `kernels` and `files`, which conftest gives."""
     options = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -150,17 +124,3 @@ def test_marks_of_the_table_are_those_that_tests_may_have():
         r"^\| `@pytest\.mark\.(\w+)` \|", TESTS_PAGE.read_text(encoding="utf-8"), re.M
     )
     assert sorted(named) == sorted(markers - {"kernels", "files"})
-
-
-def test_readers_without_a_driver_see_first_what_works_for_them():
-    """Rasterio of a wheel cannot load a driver; colleagues without one need a GeoTIFF."""
-    works = "rasterio.open(terrain.geotiff())"
-    pages = {name: (ROOT / "docs" / name).read_text(encoding="utf-8") for name in (
-        "how-to/gis.md", "how-to/qgis.md", "api.md", "integrations.md"
-    )}  # fmt: skip
-    assert 0 < pages["how-to/gis.md"].find(works) < pages["how-to/gis.md"].find("driver of")
-    assert 0 < pages["api.md"].find(works) < pages["api.md"].find("::: terrainwave.open")
-    assert 0 < pages["integrations.md"].find(works) < pages["integrations.md"].find("xarray")
-    first = pages["how-to/qgis.md"].split("\n\n")[1]
-    assert "without the driver" in first
-    assert "terrainwave decompress dem.twz dem.tif --cog" in first

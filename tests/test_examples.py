@@ -95,32 +95,6 @@ def test_commands_of_the_integrations_run(rasters):
     assert (rasters / "both.twz").exists()
 
 
-@pytest.mark.large
-def test_the_wavelet_system_of_the_readme_is_that_of_the_paper(rasters):
-    import terrainwave
-    from terrainwave.cli import main
-
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    lines = re.findall(r"^terrainwave (.*papers\.twz.*)$", readme, re.MULTILINE)
-    assert [line.split()[0] for line in lines] == ["compress", "mesh", "view"]
-    for line in lines[:2]:
-        done = CliRunner().invoke(main, line.split())
-        assert done.exit_code == 0, done.output
-    assert "guaranteed error" in done.output
-    with terrainwave.open("papers.twz") as terrain:
-        assert terrain.info().faithful
-        assert terrain.mesh_kind == "zerotree-coded"
-
-
-def test_commands_of_the_readme_exist():
-    from terrainwave.cli import main
-
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    commands = set(re.findall(r"^terrainwave (\w+) \S+\.", readme, re.MULTILINE))
-    assert commands
-    assert commands <= set(main.commands)
-
-
 def test_tables_of_the_readme_are_those_of_the_results():
     from benchmarks.tables import DOCUMENTS, fill_in
 
@@ -129,15 +103,3 @@ def test_tables_of_the_readme_are_those_of_the_results():
         if path.exists():
             text = path.read_text(encoding="utf-8")
             assert fill_in(text) == text, f"{name}: run python -m benchmarks.tables"
-
-
-def test_what_effort_best_saves_and_costs_is_said_as_measured():
-    from benchmarks.common import RESULTS
-    from benchmarks.tables import archive_sentence
-    from terrainwave.cli import main
-
-    (option,) = (option for option in main.commands["compress"].params if option.name == "effort")
-    texts = [option.help]
-    texts.append((ROOT / "docs" / "choosing.md").read_text(encoding="utf-8"))
-    for text in texts:
-        assert archive_sentence(RESULTS) in " ".join(text.split()), "see docs/benchmarks.md"

@@ -15,14 +15,10 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.extras import EXTRAS, need, with_extra
+from terrainwave.extras import need
 from terrainwave.write.compress import compress
 
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
-
-
-def test_need_returns_the_module_named():
-    assert need("xml.dom", extra="mesh") is sys.modules["xml.dom"]
 
 
 @pytest.mark.parametrize(
@@ -179,18 +175,6 @@ def test_each_command_names_the_extra_that_has_all_it_needs(tmp_path, hidden):
         "PIL": {"serve", "archive"},
     }
     assert said >= expected[hidden]
-
-
-def test_extras_for_a_task_are_those_of_the_project():
-    extras = project()["optional-dependencies"]
-    for name, packages in EXTRAS.items():
-        assert {re.match(r"[\w-]+", one)[0] for one in extras[name]} == set(packages)
-
-
-def test_a_package_that_the_extra_does_not_have_keeps_its_own(monkeypatch):
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(TerrainwaveError, match=r"terrainwave\[mesh\]"), with_extra("view"):
-        need("trimesh", extra="mesh")
 
 
 def test_the_error_travels_between_processes(monkeypatch):

@@ -14,7 +14,7 @@ from strategies import terrain_like, write_geotiff
 from terrainwave.cli import main
 from terrainwave.codec import group
 from terrainwave.codec.refiner import Validity
-from terrainwave.container.spool import SegmentSpool, cannot_write
+from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import (
     BoundViolationError,
     CorruptStreamError,
@@ -25,7 +25,6 @@ from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.terrain import Terrain
-from terrainwave.write import compress as compression
 from terrainwave.write.compress import compress
 
 HEIGHTS = terrain_like(9, 8)
@@ -97,16 +96,6 @@ def test_a_full_disk_at_the_end_leaves_the_target_as_it_was(monkeypatch, target)
     assert_untouched(target)
 
 
-def test_a_full_disk_while_assembling_leaves_the_target_as_it_was(monkeypatch, target):
-    assemble = compression.assemble
-    monkeypatch.setattr(
-        compression, "assemble", lambda file, *rest: assemble(FullFile(file), *rest)
-    )
-    with pytest.raises(StorageError, match="disk is full"):
-        compress(HEIGHTS, target, overwrite=True, **OPTIONS)
-    assert_untouched(target)
-
-
 def test_a_full_disk_while_spooling_payloads_leaves_the_target_as_it_was(
     monkeypatch, target, everything_on_disk
 ):
@@ -146,19 +135,6 @@ def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch
     with pytest.raises(StorageError, match="disk is full"):
         decompress(tmp_path / "dem.twz", tiff, overwrite=True, threads=1)
     assert_untouched(tiff)
-
-
-@pytest.mark.parametrize(
-    "error",
-    [OSError(errno.ENOSPC, "No space left on device"), "TIFFAppend: No space left on device"],
-)
-def test_lack_of_space_is_one_wording_with_the_path(tmp_path, error):
-    message = f"cannot write {tmp_path / 'a.tif'}: the disk is full"
-    assert str(cannot_write(tmp_path / "a.tif", error)) == message
-    assert str(cannot_write(tmp_path, error)) == (
-        f"cannot write temporary files in {tmp_path}: the disk is full"
-    )
-    assert "full" not in str(cannot_write(tmp_path / "a.tif", "permission denied"))
 
 
 # A source that cannot be read
@@ -334,12 +310,6 @@ def test_a_wrong_height_is_one_line_and_status_1(monkeypatch, target, tmp_path):
     assert_untouched(target)
 
 
-def test_without_the_proof_a_wrong_decoder_is_not_asked(monkeypatch, tmp_path):
-    wrong_by(monkeypatch, higher)
-    result = compress(HEIGHTS, tmp_path / "dem.twz", verify=False, **OPTIONS)
-    assert result.measured_error is None
-
-
 def test_an_error_exactly_at_the_bound_is_not_a_violation(monkeypatch, tmp_path):
     # Heights 0 and 2 with a bound of 1: decoded as 1, both are 1 off.
     heights = np.array([[0, 2, 1]], dtype="int16")
@@ -382,7 +352,7 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
 @pytest.mark.large
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
-    few = "--side 200 --kills 2 --signals 4 --disks 1 --pairs 1 --forks 2 --opens 20".split()
+    few = "--side 200 --kills 1 --signals 2 --disks 1 --pairs 1 --forks 1 --opens 10".split()
     subprocess.run(
         [sys.executable, "-m", "faults.run", *few, "--out", str(tmp_path)],
         check=True,  # its status is 1 where a trial found a fault

@@ -25,9 +25,14 @@ MANIFESTS = {
 FILES = [(version, name) for version, found in MANIFESTS.items() for name in found["files"]]
 INVALID = [(version, name) for version, found in MANIFESTS.items() for name in found["invalid"]]
 CASES = [
-    # Kernels with one model for each decision are compiled for the lowest effort alone.
-    pytest.param(version, name, marks=pytest.mark.full if "fast" in name else [])
-    for version, name in FILES
+    # Kernels with one model for each decision are compiled for the lowest effort alone. As plain
+    # Python, each fourth file is read.
+    pytest.param(
+        version,
+        name,
+        marks=[pytest.mark.full] * ("fast" in name) + [pytest.mark.large] * (i % 4 > 0),
+    )
+    for i, (version, name) in enumerate(FILES)
 ]
 
 

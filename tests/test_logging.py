@@ -1,11 +1,9 @@
 """The library's logs: named after its modules, and silent until somebody asks for them."""
 
-import ast
 import logging
 import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +16,6 @@ from terrainwave.ext.publish import publish_site
 from terrainwave.globe.archive import write_pmtiles
 from terrainwave.globe.cesium import write_tiles
 
-REPOSITORY = Path(__file__).parent.parent
-PACKAGE = REPOSITORY / "src" / "terrainwave"
 TRANSFORM = Affine(0.01, 0, 8, 0, -0.01, 46)
 
 
@@ -136,22 +132,3 @@ logging.getLogger("terrainwave").setLevel(logging.DEBUG)
 """
     done = run(READ.replace("CONFIGURE", configure), twz)
     assert "terrainwave.read.window_reader DEBUG" in done.stderr.splitlines()
-
-
-@pytest.mark.full
-def test_every_logger_is_named_after_its_module():
-    """By `__name__`, but for those of uvicorn and tornado that are filtered."""
-    found = {}
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "getLogger":
-                name = str(path.relative_to(PACKAGE).with_suffix("")).replace("/", ".")
-                found.setdefault(name, []).append(ast.unparse(node.args[0]))
-    assert found.pop("ext.serve.client_limits") == ["'uvicorn.error'"]
-    assert found.pop("ext.distributed") == ["'tornado.application'"]
-    assert {name: calls for name, calls in found.items() if calls != ["__name__"]} == {}
-    # The page lists all of them, and no other.
-    page = (REPOSITORY / "docs" / "logging.md").read_text(encoding="utf-8")
-    table = page.partition("| logger |")[2]
-    listed = {part for part in table.split("`")[1::2] if part.startswith("terrainwave.")}
-    assert listed == {f"terrainwave.{name}" for name in found if name != "__init__"}

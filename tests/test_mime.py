@@ -4,13 +4,10 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from golden_files import GOLDEN
-
 from terrainwave.container.header import DTYPE_CODES, FORMAT_VERSION, MAGIC, MEDIA_TYPE
 from terrainwave.names import METHODS
 
 MIME = Path(__file__).parents[1] / "tools" / "mime"
-TEXT = (Path(__file__).parents[1] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
 
 
 def unescaped(text):

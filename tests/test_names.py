@@ -4,26 +4,11 @@ import numpy as np
 import pytest
 from strategies import terrain_like
 
-from terrainwave.codec.refiner import FittingRefiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.errors import UnsupportedVersionError
 from terrainwave.file import TerrainFile
-from terrainwave.names import DEFAULT_METHOD, METHODS
+from terrainwave.names import METHODS
 from terrainwave.write.compress import compress_to_bytes
-
-UNITS = [method for method in METHODS.values() if not method.is_tiled]
-
-
-def test_numbers_are_those_from_0_and_the_default_is_named_first():
-    assert sorted(method.number for method in METHODS.values()) == list(range(len(METHODS)))
-    assert next(iter(METHODS.values())) == DEFAULT_METHOD
-
-
-@pytest.mark.parametrize("method", UNITS, ids=lambda method: method.name)
-def test_a_refiner_has_the_name_and_the_tables_of_its_line(method):
-    refiner = refiner_by_name(method.name)
-    assert refiner.name == method.name
-    assert isinstance(refiner, FittingRefiner) == method.has_file_tables
 
 
 def test_a_method_of_a_newer_version_is_not_supported():

@@ -14,7 +14,6 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.cli import output
-from terrainwave.cli.commands.compress import compress as command
 from terrainwave.cli.options import declared
 from terrainwave.container.metadata import ORIGIN
 from terrainwave.errors import InvalidArgumentError
@@ -101,11 +100,6 @@ def keywords_of(function):
 def test_keywords_of_functions_are_the_declared_fields(function, options):
     defaults = {one.name: one.default for one in options.options()}
     assert defaults.items() <= keywords_of(function).items()
-
-
-def test_every_option_of_compress_with_help_is_one_of_the_command():
-    shown = {one.name for one in Options.options() if one.metadata["help"]}
-    assert shown <= {parameter.name for parameter in command.params}
 
 
 def test_the_plugin_of_qgis_offers_the_methods_and_formats_that_are_declared():

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import terrainwave
-from terrainwave import native_sources
 from terrainwave.ext import pyinstaller
 from terrainwave.names import METHODS
 
@@ -30,23 +29,6 @@ if __name__ == "__main__":
 def test_the_hook_names_all_codecs():
     hidden = runpy.run_path(Path(HOOKS) / "hook-terrainwave.py")["hiddenimports"]
     assert {f"terrainwave.codec.{method}.refiner" for method in METHODS} <= set(hidden)
-
-
-def test_the_hook_names_all_annexes():
-    datas = dict(runpy.run_path(Path(HOOKS) / "hook-terrainwave.py")["datas"])
-    annexes = Path(terrainwave.__file__).parent / "annexes"
-    kept = [path for path in annexes.iterdir() if path.suffix in (".bin", ".txt")]
-    assert kept
-    for path in kept:
-        assert Path(datas[str(path)]) == Path("terrainwave") / "annexes"
-
-
-@pytest.mark.native
-def test_the_hook_names_the_native_library(library):
-    found = runpy.run_path(Path(HOOKS) / "hook-terrainwave.py")
-    assert (str(library), "terrainwave") in found["binaries"]
-    # The note has the digest that the library is compared with.
-    assert str(native_sources.NOTE) in dict(found["datas"])
 
 
 def test_pyinstaller_finds_the_hook():

@@ -84,7 +84,6 @@ def spikes(rng, shape):
 RASTERS = {
     "lossless": (whole, {"max_error": 0}),
     "bound 2": (whole, {"max_error": 2}),
-    "bound 40": (whole, {"max_error": 40}),
     "voids": (
         lambda rng, shape: with_voids(rng, whole(rng, shape), -1),
         {"max_error": 1, "nodata": -1},
@@ -105,7 +104,6 @@ RASTERS = {
         lambda rng, shape: with_voids(rng, decimals(rng, shape), np.float32(0.1)),
         {"max_error": 0.2, "nodata": 0.1},
     ),
-    "continuous": (hills, {"max_error": 0.01}),
     "continuous, NaN": (
         lambda rng, shape: with_voids(rng, hills(rng, shape).astype("float32"), np.nan),
         {"max_error": 3},
@@ -122,7 +120,6 @@ RASTERS = {
     "spikes": (spikes, {"max_error": 0.1}),
     "constant": (lambda rng, shape: np.full(shape, 77, "uint8"), {"max_error": 1}),
     "all void": (lambda rng, shape: np.full(shape, -1, "int16"), {"max_error": 1, "nodata": -1}),
-    "every bit": (lambda rng, shape: (hills(rng, shape) / 3).astype("float32"), {"max_error": 0}),
     "every bit, NaN": (
         lambda rng, shape: with_voids(rng, hills(rng, shape) / 3, np.nan),
         {"max_error": 0},

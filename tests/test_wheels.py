@@ -179,46 +179,6 @@ def test_a_build_that_cannot_have_the_library_ends_with_one_line(tmp_path, how, 
     assert "Traceback" not in run.stderr
 
 
-@full
-def test_without_a_compiler_the_wheel_is_for_any_platform(tmp_path):
-    source = copied(tmp_path / "source")
-    run, wheel = build(source, tmp_path, "auto", "--no-build-isolation", CC="no-compiler")
-    assert run.returncode == 0, run.stderr
-    names, note, tags = inside(wheel)
-    assert libraries(names) == []
-    assert note == {"missing": "found no C compiler (no-compiler) on the PATH"}
-    assert tags == ["py3-none-any"]
-
-
-# By LLVM's linkers, without the systems' own libraries.
-FOREIGN = {
-    "macosx_11_0_arm64": (
-        "arm64-apple-macos11.3",
-        "ld64.lld-14 -dylib -arch arm64 -platform_version macos 11.3 12.0 -o {out} {object}",
-    ),
-    "macosx_10_15_x86_64": (
-        "x86_64-apple-macos10.15",
-        "ld64.lld-14 -dylib -arch x86_64 -platform_version macos 10.15 12.0 -o {out} {object}",
-    ),
-    "win_amd64": ("x86_64-pc-windows-msvc", "lld-link-14 /dll /noentry /out:{out} {object}"),
-    "win_arm64": ("aarch64-pc-windows-msvc", "lld-link-14 /dll /noentry /out:{out} {object}"),
-    "linux_aarch64": ("aarch64-linux-gnu", "ld.lld-14 -shared -o {out} {object}"),
-    "linux_i686": ("i686-linux-gnu", "ld.lld-14 -shared -o {out} {object}"),
-}
-
-
-@full
-@native
-@pytest.mark.parametrize("platform", FOREIGN)
-def test_tags_are_those_of_the_target(tmp_path, platform):
-    target, link = FOREIGN[platform]
-    source, made, out = (tmp_path / name for name in ("a.c", "a.o", "library"))
-    source.write_text("int twz(void) { return 1; }\n")
-    subprocess.run(["clang-14", "-target", target, "-c", source, "-o", made], check=True)
-    subprocess.run(link.format(out=out, object=made).split(), check=True)
-    assert HOOK["platform_tag"](out) == platform
-
-
 def test_what_the_digest_covers_is_what_the_library_is_built_of(tmp_path):
     """A change of any file that is compiled, or of an annex, makes it another library."""
     source = copied(tmp_path)
@@ -236,30 +196,3 @@ def test_what_the_digest_covers_is_what_the_library_is_built_of(tmp_path):
     assert native_sources.digest_of(source) == before
     (source / "native" / "src" / "more.c").write_text("int more;\n")
     assert native_sources.digest_of(source) != before
-
-
-@full
-@native
-def test_make_builds_again_what_has_changed(tmp_path):
-    """The rules of the Makefile, with a pip that only says what it was asked for."""
-    source = copied(tmp_path / "source")
-    folder = source / ".venv" / "bin"
-    folder.mkdir(parents=True)
-    (folder / "python").write_text("#!/bin/sh\necho asked: $*\n")
-    (folder / "python").chmod(0o755)
-    (source / ".venv" / ".created").touch()
-
-    def asked():
-        """Make the stamp of an installation; return what pip was asked for."""
-        run = ["make", "-o", ".venv/.created", ".venv/.installed"]
-        done = subprocess.run(run, cwd=source, text=True, capture_output=True, check=True)
-        return re.findall("asked: (.*)", done.stdout)
-
-    (first,) = asked()
-    assert first.endswith("--editable .")
-    assert "--no-deps" not in first
-    assert asked() == []
-    later = (source / ".venv" / ".installed").stat().st_mtime + 5
-    os.utime(source / "native" / "src" / "window.c", (later, later))
-    (again,) = asked()
-    assert again.endswith("--no-deps --editable .")

@@ -1,6 +1,5 @@
 """What is timed of a peer is its own user's call: what it returns comes back untouched."""
 
-import ast
 import importlib
 import importlib.util
 import sys
@@ -11,41 +10,11 @@ import click
 import numpy as np
 import pytest
 import rasterio
-from rasterio.windows import Window
 
-from benchmarks import common, memory, windows
-from benchmarks.rasters import load_raster, write_cog
-from benchmarks.remote import SETTINGS, exchanges
-from benchmarks.slow_server import SlowServer
+from benchmarks import windows
+from benchmarks.rasters import load_raster
 
 JS_TOOL = Path(__file__).parents[2] / "js" / "tools" / "against_python.py"
-
-
-class Recorder:
-    """A library of which only `allowed` calls exist; each is noted and gives the recorder."""
-
-    def __init__(self, *allowed):
-        self.allowed, self.calls = allowed, []
-
-    def __call__(self, *args, **kwargs):
-        self.calls.append((args, kwargs))
-        return self
-
-    def __getattr__(self, name):
-        if name not in self.allowed:
-            raise AttributeError(f"a peer's user does not call {name}")
-        self.calls.append(name)
-        return self
-
-    def __getitem__(self, place):
-        self.calls.append(place)
-        return self
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.calls.append("closed")
 
 
 @pytest.fixture
@@ -65,38 +34,11 @@ def load(monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_a_cogs_window_is_opened_read_and_closed_by_rasterio_alone(monkeypatch):
-    dataset = Recorder("open", "read")
-    monkeypatch.setattr(windows, "rasterio", dataset)
-    window = Window(1, 2, 3, 4)
-    assert windows.read_cog("a.tif", window) is dataset
-    assert dataset.calls == [
-        "open", (("a.tif",), {}), "read", ((1,), {"window": window}), "closed"
-    ]  # fmt: skip
-
-
-def test_a_cogs_window_is_opened_loaded_and_closed_by_rioxarray_alone(load):
-    array = Recorder("open_rasterio", "values")
-    integrations = load("benchmarks.integrations", rioxarray=array)
-    place = (slice(0, 2), slice(3, 5))
-    assert integrations.window_of_cog("a.tif", place) is array
-    assert array.calls == ["open_rasterio", (("a.tif",), {}), 0, place, "values", "closed"]
-
-
 def load_meshes(load, delatin, martini):
     return load(
         "benchmarks.meshes",
         pydelatin=SimpleNamespace(Delatin=delatin), pymartini=SimpleNamespace(Martini=martini),
     )  # fmt: skip
-
-
-def test_meshes_of_peers_are_made_by_their_own_calls_alone(load):
-    delatin, martini = Recorder("vertices", "triangles"), Recorder("create_tile", "get_mesh")
-    meshes = load_meshes(load, delatin, martini)
-    assert meshes.by_delatin("floats", 3) == (delatin, delatin)
-    assert delatin.calls == [(("floats",), {"max_error": 3}), "vertices", "triangles"]
-    assert meshes.by_martini(martini, "floats", 3) is martini
-    assert martini.calls == ["create_tile", (("floats",), {}), "get_mesh", ((3,), {})]
 
 
 def test_the_true_error_of_a_mesh_is_the_spike_that_it_misses(load):
@@ -123,28 +65,6 @@ def test_our_own_mesh_has_the_true_error_that_it_states(load):
     assert 5 < found <= mesh.error <= 10
 
 
-def test_the_process_that_makes_a_cog_has_nothing_of_ours_and_its_own_settings(
-    monkeypatch, tmp_path
-):
-    ran = []
-    monkeypatch.setattr(
-        common, "run_and_measure", lambda command, **options: ran.append((command, options))
-    )
-    for writer in memory.WRITERS:
-        memory.run(writer, tmp_path / "a.tif", tmp_path / "b.out", 0.5, ["--block", "64"])
-    ours, bare, cog, small = [command for command, _ in ran]
-    assert ours[-6:] == ["--max-error", "0.5", "--threads", "1", "--block", "64"]
-    assert bare[-5:] == ["--mesh", "none", "--no-verify", "--block", "64"]
-    assert cog == small == [
-        sys.executable, "-c", memory._COG, str(tmp_path / "a.tif"), str(tmp_path / "b.out"), "0.5"
-    ]  # fmt: skip
-    nodes = [node for node in ast.walk(ast.parse(memory._COG)) if isinstance(node, ast.Import)]
-    imports = [alias.name for node in nodes for alias in node.names]
-    assert imports == ["sys", "rasterio.shutil"]
-    assert "GDAL_CACHEMAX" not in ran[2][1]["env"]
-    assert ran[3][1]["env"]["GDAL_CACHEMAX"] == "64"
-
-
 def make_dem(path, side=600):
     rows, cols = np.mgrid[:side, :side]
     heights = (900 + 300 * np.sin(rows / 40) * np.cos(cols / 30)).astype(np.int16)
@@ -169,21 +89,6 @@ def test_both_readers_of_windows_hold_the_bound_and_give_the_rasters_type(tmp_pa
     with rasterio.open(tmp_path / "windows.tif") as dataset:
         assert dataset.compression.name == "lerc_zstd"
         assert dataset.overviews(1) == [2]
-
-
-def test_a_cogs_window_over_http_counts_every_request_of_gdal(tmp_path):
-    write_cog(make_dem(tmp_path / "a.tif"), tmp_path / "cog.tif", 1.0)
-    with rasterio.Env(**SETTINGS), SlowServer(tmp_path, 0.0) as server:
-        requests, rounds, n_bytes, seconds, cpu_seconds = exchanges(
-            server, "cog", "cog.tif", Window(10, 10, 100, 100)
-        )
-        asked = [exchange.path for exchange in server.log]
-    assert asked == ["/cog.tif"] * requests  # and nothing about files beside it
-    # GDAL asks how long the file is before all else.
-    assert [exchange.n_bytes for exchange in server.log].index(0) == 0
-    assert requests >= rounds >= 2
-    assert n_bytes >= 16_384 or n_bytes == (tmp_path / "cog.tif").stat().st_size
-    assert 0 < cpu_seconds <= seconds + 0.1
 
 
 @pytest.mark.filterwarnings("ignore:Numcodecs codecs are not in the Zarr")
@@ -216,9 +121,3 @@ def test_heights_in_javascript_that_differ_from_python_stop_the_measurement(tmp_
     for wrong in ((right, "other"), ("other", right)):
         with pytest.raises(SystemExit, match="not what Python and GDAL read"):
             tool.seconds_of_all(node(*wrong), path, dem, None)
-
-
-def test_the_most_of_tasks_that_took_turns_is_beside_their_median():
-    clock = iter([0, 1, 1, 9, 9, 12])
-    (timed,) = common.take_turns(lambda: [lambda: None], 3, clock=lambda: next(clock))
-    assert (timed.seconds, timed.most) == (3, 8)

@@ -1,27 +1,18 @@
-import statistics
-import sys
-import time
 from dataclasses import replace
 
-import imagecodecs
 import numpy as np
 import pytest
-import rasterio
-import rasterio.shutil
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import codecs, peers
-from benchmarks.codecs import best_trial, compare, time_trials
-from benchmarks.common import repeat_option_names
+from benchmarks.codecs import compare
 from benchmarks.peers import (
     dequantize_indices,
     float_bound,
-    make_codecs,
     quantize_indices,
     snap_to_grid,
 )
-from benchmarks.rasters import Raster, detect_quantum, make_forms, mask_bytes, void_fills
+from benchmarks.rasters import Raster, detect_quantum, mask_bytes, void_fills
 
 
 def make_raster(heights, mask=None, nodata=None):
@@ -43,10 +34,6 @@ def ground(dtype, quantum, seed):
 )
 def test_quantum_is_the_largest_that_all_heights_are_multiples_of(values, quantum):
     assert detect_quantum(np.array(values, np.float32)) == quantum
-
-
-def test_integers_have_quantum_one_even_where_all_are_even():
-    assert detect_quantum(np.array([2, 4], np.int16)) == 1.0
 
 
 @given(
@@ -116,126 +103,4 @@ def test_fills_change_void_samples_only_and_stay_on_the_grid():
     assert mask_bytes(mask) > 0
 
 
-def test_raster_without_voids_has_one_fill_and_a_free_mask():
-    raster = ground("int16", 1.0, 6)
-    assert [name for name, _ in void_fills(raster)] == ["none"]
-    assert mask_bytes(raster.mask) == 0
-
-
-def test_values_after_a_list_option_each_get_its_name():
-    args = ["dir", "--max-error", "0", "1", "--crop", "9", "--max-error", "3", "--", "more"]
-    expected = ["dir", "--max-error", "0", "--max-error", "1", "--crop", "9"]
-    expected += ["--max-error", "3", "more"]
-    assert repeat_option_names(args, {"--max-error"}) == expected
-
-
-def test_list_option_without_a_value_is_left_for_click_to_complain_about():
-    assert repeat_option_names(["--max-error"], {"--max-error"}) == ["--max-error"]
-
-
 # What is timed: the calls of a codec's own user.
-
-
-def timed_tasks(monkeypatch, codec, raster, max_error):
-    """Return what the clock of `time_trials` covers: encoding and decoding."""
-    trial = best_trial(codec, make_forms(raster), max_error)
-    assert not trial.errors.problem
-    found = []
-    monkeypatch.setattr(codecs.common, "take_turns", lambda tasks, *_, **__: found.extend(tasks()))
-    time_trials([trial], 1)
-    return found
-
-
-def calls_of(task):
-    """Return what a task returns, and the functions that it calls directly, by name."""
-    called = []
-
-    def note(frame, event, argument):
-        if event == "call" and frame.f_back is not None and frame.f_back.f_code in own:
-            called.append(frame.f_code.co_name)
-        if event == "c_call" and frame.f_code in own:
-            called.append(argument.__name__)
-
-    own = {getattr(task, "func", task).__code__}
-    sys.setprofile(note)
-    try:
-        result = task()
-    finally:
-        sys.setprofile(None)
-    return result, called
-
-
-@pytest.mark.parametrize("name", ["cog", "cog-float32"])
-def test_a_cog_is_timed_by_the_calls_of_its_user_and_nothing_else(monkeypatch, tmp_path, name):
-    (codec,) = make_codecs([name], [], tmp_path)
-    encode, decode = timed_tasks(monkeypatch, codec, ground("int16", 1.0, 7), 1.0)
-    copied = []
-    monkeypatch.setattr(peers.rasterio.shutil, "copy", lambda *_, **more: copied.append(more))
-    path, called = calls_of(encode)
-    assert [call for call in called if not call.startswith("__")] == ["<lambda>"]
-    assert [(more["driver"], more["COMPRESS"]) for more in copied] == [("COG", "LERC_ZSTD")]
-    monkeypatch.undo()
-
-    class Source:
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *_):
-            pass
-
-        def read(self, band):
-            return ("what GDAL read", band)
-
-    monkeypatch.setattr(peers.rasterio, "open", lambda opened: Source() if opened == path else None)
-    result, called = calls_of(decode)
-    # What GDAL returns is the result: no conversion, no rounding, no copy.
-    assert result == ("what GDAL read", 1)
-    assert called == ["<lambda>", "__enter__", "read", "__exit__"]
-
-
-@pytest.mark.parametrize("name", ["sz3", "sperr", "jxl-e7"])
-def test_codecs_of_arrays_are_timed_by_their_own_call_alone(monkeypatch, tmp_path, name):
-    kind = {"sz3": "sz3", "sperr": "sperr", "jxl-e7": "jpegxl"}[name]
-    (codec,) = make_codecs([name], [], tmp_path)
-    raster = ground("int16", 1.0, 8)
-    encode, decode = timed_tasks(monkeypatch, codec, raster, 1.0)
-    given = []
-    for what in ("encode", "decode"):
-        monkeypatch.setattr(
-            imagecodecs,
-            f"{kind}_{what}",
-            lambda array, **_: given.append(array) or ("made of", array),
-        )
-    assert encode() == ("made of", given[0])
-    assert given[0].shape == raster.heights.shape  # made before: an array of the codec's type
-    assert decode()[1] is given[1]
-
-
-@pytest.mark.full
-@pytest.mark.large
-@pytest.mark.parametrize("name", ["cog", "sz3"])
-def test_a_timed_read_takes_what_a_bare_one_takes(monkeypatch, tmp_path, name):
-    rows, cols = np.indices((2048, 2048))
-    waves = 300 * np.sin(rows / 40) + 200 * np.cos(cols / 33 + rows / 90)
-    raster = make_raster(np.rint(waves).astype(np.int16))
-    (codec,) = make_codecs([name], [], tmp_path)
-    _, decode = timed_tasks(monkeypatch, codec, raster, 1.0)
-
-    def bare():
-        if name == "sz3":
-            imagecodecs.sz3_decode(decode.args[0], shape=raster.heights.shape, dtype=np.float32)
-            return
-        with rasterio.open(decode.args[0]) as source:
-            source.read(1)
-
-    def ratio():
-        taken = {decode: [], bare: []}
-        for _ in range(11):
-            for task, seconds in taken.items():
-                start = time.process_time()
-                task()
-                seconds.append(time.process_time() - start)
-        return statistics.median(taken[decode]) / statistics.median(taken[bare])
-
-    # On a machine that does other work one comparison of the same code can be off.
-    assert min(abs(ratio() - 1) for _ in range(4)) <= 0.1

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 import pytest
-from affine import Affine
 from commands import one_line, run, start
 from strategies import read_geotiff, terrain_like, write_geotiff
 
@@ -294,31 +293,6 @@ def test_a_damaged_manifest_is_as_none(tmp_path, dems, damage):
     assert batch_of(dems, out) == (["skipped"] * 3, [])
 
 
-def test_a_line_that_was_cut_off_spoils_no_other(tmp_path, dems, reads):
-    out = tmp_path / "out"
-    batch_of(dems, out)
-    manifest = out / ".terrainwave-manifest.jsonl"
-    manifest.write_bytes(manifest.read_bytes()[:-20])
-    batch_of(dems, out)
-    reads.clear()
-    assert batch_of(dems, out) == (["skipped"] * 3, [])
-    assert reads == []
-
-
-def test_a_manifest_does_not_grow_with_the_number_of_runs(tmp_path, dems):
-    out = tmp_path / "out"
-    batch_of(dems[:1], out)
-    manifest = out / ".terrainwave-manifest.jsonl"
-    line = manifest.read_text().splitlines()[-1]
-    manifest.write_text("\n".join([line] * 500))
-    assert batch_of(dems[:1], out)[0] == ["skipped"]
-    assert len(manifest.read_text().splitlines()) < 10
-
-
-def test_a_directory_without_a_batch_of_this_kind_gets_no_manifest(files):
-    assert [file.name for file in files] == ["a.twz", "b.twz", "c.twz"]
-
-
 def test_rasters_are_skipped_only_if_they_are_of_the_same_file_and_options(tmp_path, dems, files):
     back = tmp_path / "back"
 
@@ -418,34 +392,6 @@ def two_hundred_rasters(folder, bad):
 
 
 @pytest.mark.full
-def test_many_files_with_bad_ones_among_them_restarted(tmp_path):
-    """200 files, 3 of them bad: each run makes what is missing, and tells of each in one line."""
-    rasters, bad = two_hundred_rasters(tmp_path, (7, 100, 199))
-    out = tmp_path / "out"
-    expected = ["failed" if path in bad else "compressed" for path in rasters]
-    for number in range(3):
-        done = run(
-            "compress", *rasters, "--to", out, "--skip-existing", "--json", "--no-mesh",
-            "--max-error", "0", "--block", "32",
-        )  # fmt: skip
-        assert done.exit_code == 1
-        assert [file["status"] for file in in_json(done, rasters)] == expected
-        assert done.stderr.count("is not a raster") == 3
-        expected = [status.replace("compressed", "skipped") for status in expected]
-        if number == 0:  # as if the run had been stopped
-            for path in rasters[50:60]:
-                (out / f"{path.stem}.twz").unlink()
-                expected[rasters.index(path)] = "compressed"
-        elif number == 1:
-            expected = [status.replace("compressed", "skipped") for status in expected]
-    for path in rasters:
-        if path not in bad:
-            with terrainwave.open(out / f"{path.stem}.twz") as terrain:
-                assert np.array_equal(terrain.read(), read_geotiff(path)[0])
-    assert len(list(out.glob("*.twz"))) == 197
-
-
-@pytest.mark.full
 def test_a_batch_that_is_killed_twice_goes_on_where_it_was(tmp_path):
     """200 files, 3 of them bad: killed without warning, between and within files."""
     rasters, bad = two_hundred_rasters(tmp_path, (3, 90, 150))
@@ -479,42 +425,6 @@ def test_a_batch_that_is_killed_twice_goes_on_where_it_was(tmp_path):
     assert len(list(out.glob("*.twz"))) == 197
 
 
-def test_a_unit_that_the_crs_names_is_not_missing(tmp_path):
-    """One note for all rasters without a unit, and none where the CRS names it."""
-    plain, compound = "EPSG:4326", "EPSG:4979"
-    Affine(0.01, 0, 8, 0, -0.01, 46)
-    options = ["--block", 32, "--max-error", 1, "--method", "rapid"]
-    for crs, n_notes in ((plain, 1), (compound, 0)):
-        folder = tmp_path / crs[-4:]
-        folder.mkdir()
-        rasters = [
-            write_geotiff(
-                folder / f"{name}.tif",
-                terrain_like(12, 10),
-                crs=crs,
-                transform=Affine(0.01, 0, 8, 0, -0.01, 46),
-            )
-            for name in "abc"
-        ]
-        twz = folder / "out" / "a.twz"
-        commands = [
-            ["compress", *rasters, "--to", folder / "out", *options],
-            ["compress", rasters[0], folder / "b.twz", *options],
-            ["mesh", twz, folder / "a.ply"],
-            ["mesh", twz, folder / "b.ply", "--lods", 3, "--max-error", 2],
-            ["patch", twz, rasters[0]],
-            ["tiles", twz, folder / "tiles", "--max-zoom", 1],
-            ["tiles", twz, folder / "a.pmtiles", "--max-zoom", 7],
-        ]
-        for command in commands:
-            done = run(*command)
-            assert done.exit_code == 0, done.stderr
-            notes = [line for line in done.stderr.splitlines() if "no vertical unit" in line]
-            assert len(notes) == n_notes, (command[0], crs, done.stderr)
-            if command[0] == "tiles":
-                assert ("errors in m" in done.stdout) == (n_notes == 0)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -546,27 +456,6 @@ def test_options_that_fit_no_file_are_wrong_usage(tmp_path, files):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("threads", "each"), [(1, 1), (3, 1), (7, 2)])
-def test_threads_are_shared(monkeypatch, threads, each):
-    running, most, shares = set(), [], set()
-    n_at_once = threads // each
-    together = threading.Barrier(n_at_once)  # as many as may run do
-
-    def work(job, n_threads, progress):
-        running.add(job)
-        together.wait(60)
-        most.append(len(running))
-        together.wait(60)
-        shares.add(n_threads)
-        running.remove(job)
-        return batch.Done(job.source)
-
-    jobs = [batch.FileJob(str(number)) for number in range(6 if threads == 1 else 3)]
-    status = batch.run(jobs, work, word="done", threads=threads, as_json=False, quiet=True)
-    assert (len(most), status, shares) == (len(jobs), 0, {each})
-    assert max(most) == n_at_once
-
-
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 def test_a_signal_ends_all_jobs_and_leaves_what_is_finished(tmp_path):
@@ -586,20 +475,6 @@ def test_a_signal_ends_all_jobs_and_leaves_what_is_finished(tmp_path):
     assert not out.exists() or set(os.listdir(out)) <= {"b.twz", "c.twz"}
 
 
-def test_lack_of_memory_is_a_failure_of_one_file(tmp_path, dems, monkeypatch):
-    compress = terrainwave.compress
-
-    def greedy(source, *arguments, **options):
-        if source.endswith("b.tif"):
-            raise MemoryError
-        return compress(source, *arguments, **options)
-
-    monkeypatch.setattr(terrainwave, "compress", greedy)
-    done = run("compress", *dems, "--to", tmp_path / "out", *QUICK)
-    assert done.exit_code == 1
-    assert "b.tif: out of memory" in done.stderr
-
-
 def test_an_original_must_be_one(tmp_path):
     for name in ("a.tif", "a.vrt", "a.twz", "a.json"):
         (tmp_path / name).write_text("")
@@ -607,21 +482,6 @@ def test_an_original_must_be_one(tmp_path):
         batch.find_original("x/a.twz", tmp_path)
     (tmp_path / "a.vrt").unlink()
     assert batch.find_original("x/a.twz", tmp_path) == str(tmp_path / "a.tif")
-
-
-def test_heights_without_a_place_are_not_those_with_one(tmp_path):
-    place = {"crs": "EPSG:32633", "transform": (30, 0, 5e5, 0, -30, 5e6)}
-    source = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40), **place)
-    batch = ("compress", source, "--to", tmp_path / "made", "--quiet", "--skip-existing", "--json")
-    for options, status in (
-        ((), "compressed"),
-        ((), "skipped"),
-        (("--no-georeference",), "compressed"),
-        (("--no-georeference",), "skipped"),
-    ):
-        done = run(*batch, *options)
-        assert done.exit_code == 0, done.output
-        assert status in done.stdout
 
 
 def test_a_folder_stands_for_the_files_below_it(tmp_path):
@@ -655,3 +515,13 @@ def test_a_folder_without_a_fitting_file_is_wrong_usage(tmp_path):
         assert done.exit_code == 2
         assert "found no file in" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_manifest_does_not_grow_with_the_number_of_runs(tmp_path, dems):
+    out = tmp_path / "out"
+    batch_of(dems[:1], out)
+    manifest = out / ".terrainwave-manifest.jsonl"
+    line = manifest.read_text().splitlines()[-1]
+    manifest.write_text("\n".join([line] * 500))
+    assert batch_of(dems[:1], out)[0] == ["skipped"]
+    assert len(manifest.read_text().splitlines()) < 10

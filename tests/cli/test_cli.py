@@ -4,7 +4,6 @@ import contextlib
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,18 +16,16 @@ import pytest
 import rasterio
 from commands import one_line, run, start
 from rasterio.transform import Affine
-from rasterio.windows import Window
 from reference import recursive_errors
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave import interrupts
-from terrainwave.arguments import count_of
 from terrainwave.cli import main, signals
 from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
-from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
+from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
 from terrainwave.progress import Progress
 
@@ -60,27 +57,6 @@ def twz(tmp_path, dem):
 
 
 # --- the main job ------------------------------------------------------------------------------
-
-
-def test_what_verify_and_compress_find_is_told_in_options(tmp_path, dem, twz):
-    with rasterio.open(dem) as dataset:
-        heights, profile = dataset.read(1), dataset.profile
-    narrow = tmp_path / "narrow.tif"
-    with rasterio.open(narrow, "w", **profile | {"height": 10}) as dataset:
-        dataset.write(heights[:10], 1)
-    (tmp_path / "folder").mkdir()
-    shutil.copy(narrow, tmp_path / "folder" / f"{twz.stem}.tif")
-    asked = ["--heights-are", "depth"]
-    alone = ["verify", str(twz), str(narrow), *asked]
-    several = ["verify", str(twz), str(twz), "--originals", str(tmp_path / "folder"), *asked]
-    for words in (alone, [*alone, "--json"], several, [*several, "--json"]):
-        told = run(*words).output
-        assert "(with --part only what it covers is compared)" in told, told
-        assert "found depths (--heights-are)" in told, told
-        assert "`" not in told
-    deep = write_geotiff(tmp_path / "d.tif", heights, tags={"positive": "down"})
-    told = json.loads(run("compress", str(deep), str(tmp_path / "d.twz"), "--json").stdout)
-    assert any("choose with --heights-are" in note for note in told["notes"]), told["notes"]
 
 
 def test_no_georeference_leaves_place_and_crs_out(tmp_path, dem):
@@ -139,35 +115,6 @@ def test_compress_prints_json(tmp_path, dem):
     assert fields["method"] == "store"
 
 
-def test_options_of_compress_reach_the_file(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    options = "--method store --block 64 --effort fast -o border_rings=3 --nodata 100 --threads 1"
-    done = run("compress", dem, target, *options.split(), "--temp-dir", tmp_path, "--no-verify")
-    assert done.exit_code == 0, done.output
-    assert "not checked" in done.stdout
-    fields = json.loads(run("info", target, "--json").stdout)
-    assert (fields["block"], fields["effort"], fields["border_rings"]) == (64, "fast", 3)
-    assert fields["nodata"] == 100
-
-
-def test_a_file_made_without_the_proof_says_so(tmp_path, dem):
-    for name, options in ("proved", []), ("bare", ["--no-verify"]):
-        path = tmp_path / f"{name}.twz"
-        run("compress", dem, path, "--max-error", 2, "--method", "store", *options)
-        is_proved = not options
-        assert json.loads(run("info", path, "--json").stdout)["proved"] is is_proved
-        assert ("made with --no-verify" in run("info", path).stdout) is not is_proved
-        with terrainwave.open(path) as terrain, rasterio.open(terrain.geotiff()) as dataset:
-            assert ("PROOF" in dataset.tags(1, ns="TERRAINWAVE")) is not is_proved
-            assert ("without the proof" in terrain._repr_html_()) is not is_proved
-
-
-@pytest.mark.parametrize("option", [["--no-mesh"], ["--mesh", "none"]])
-def test_no_mesh_is_accepted(tmp_path, dem, option):
-    done = run("compress", dem, tmp_path / "a.twz", "--method", "store", *option)
-    assert done.exit_code == 0, done.output
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -193,22 +140,6 @@ def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
     assert part.stat().st_size > 0
 
 
-def test_band_is_chosen_and_the_default_is_noted(tmp_path):
-    layers = np.stack([np.full((40, 40), value, "int16") for value in (1, 2, 3)])
-    path = write_geotiff(tmp_path / "rgb.tif", layers, photometric="MINISBLACK")
-    target = tmp_path / "a.twz"
-    done = run("compress", path, target, "--method", "store")
-    assert done.exit_code == 0
-    assert "note: " in done.stderr
-    assert "3 bands; using band 1 (choose with --band)" in done.stderr
-    assert done.output.count("3 bands") == 1
-    done = run("compress", path, target, "--method", "store", "--band", 3, "--overwrite")
-    assert done.exit_code == 0
-    assert "bands" not in done.stderr
-    with terrainwave.open(target) as terrain:
-        assert (terrain.read() == 3).all()
-
-
 # --- decompress --------------------------------------------------------------------------------
 
 
@@ -224,35 +155,6 @@ def test_decompress_prints_json(tmp_path, twz):
     assert found["n_bytes"] == target.stat().st_size
 
 
-# Options that some commands have and their siblings lack, each with the reason.
-WITHOUT = {
-    "--quiet": {"info": "prints nothing else", "doctor": "prints nothing else"},
-    "--json": {
-        "render": "has --stats", "view": "is a window", "serve": "has its page",
-        "demo": "is a table to read", "warmup": "has nothing to tell a program",
-    },
-    "--threads": {
-        "doctor": "reads nothing", "publish": "copies files", "demo": "is small",
-        "warmup": "compiles one by one",
-    },
-    "--overwrite": {
-        "patch": "changes its file", "info": "writes none", "verify": "writes none",
-        "doctor": "writes none", "view": "writes none", "serve": "writes none",
-        "demo": "keeps what is there", "warmup": "adds to what is there",
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("option", WITHOUT)
-def test_commands_have_their_siblings_options_or_a_reason(option):
-    lacking = {
-        name
-        for name, command in main.commands.items()
-        if not any(option in param.opts for param in command.params)
-    }
-    assert lacking == WITHOUT[option].keys()
-
-
 def test_decompress_window_bounds_and_level(tmp_path, twz):
     with terrainwave.open(twz) as terrain:
         whole, half = terrain.read(), terrain.read(level=-2)
@@ -265,33 +167,6 @@ def test_decompress_window_bounds_and_level(tmp_path, twz):
     assert read_geotiff(bounds)[2]["transform"] == Affine(30, 0, 4e5 + 600, 0, -30, 4e6 - 300)
     assert run("decompress", twz, level, "--level", -2).exit_code == 0
     np.testing.assert_array_equal(read_geotiff(level)[0], half)
-
-
-@pytest.mark.parametrize("command", [["decompress", "a.tif"], ["mesh", "a.ply"]])
-@pytest.mark.parametrize(
-    ("option", "part"),
-    [("--window", "100,100,900,900"), ("--bounds", "403000,3990000,500000,3997000")],
-)
-def test_a_part_beyond_the_edge_is_cut_with_a_note(tmp_path, twz, command, option, part):
-    done = run(command[0], twz, tmp_path / command[1], option, part)
-    assert done.exit_code == 0
-    assert done.stderr.count("note: the ") == 1
-    assert re.search(
-        rf"note: the {option} reach(es)? beyond the (level's 150 x 140 samples|raster's, 4.*):"
-        r" what lies inside it is taken, 50 x 40 samples from row 100, column 100 on",
-        done.stderr,
-    )
-
-
-@pytest.mark.parametrize("level", [-1, -2])
-@pytest.mark.parametrize("kind", ["bounds", "window"])
-def test_a_whole_part_has_no_note(tmp_path, twz, kind, level):
-    with terrainwave.open(twz) as terrain:
-        n_rows, n_cols = terrain.level_shape(level)
-        part = terrain.bounds if kind == "bounds" else (0, 0, n_rows, n_cols)
-    words = f"--{kind}", ",".join(map(repr, part)), "--level", level
-    done = run("decompress", twz, tmp_path / "a.tif", *words)
-    assert (done.exit_code, "note" in done.stderr) == (0, False)
 
 
 def test_decompress_makes_a_cog(tmp_path, twz):
@@ -316,67 +191,6 @@ def test_info_json_is_complete(twz):
     assert len(fields["level_errors"]) == fields["n_levels"]
 
 
-def test_info_says_that_a_file_is_faithful(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    options = ["--method", "cdf97", "-o", "faithful", "--max-error", 20, "--no-mesh"]
-    assert run("compress", dem, target, *options).exit_code == 0
-    assert json.loads(run("info", target, "--json").stdout)["faithful"] is True
-    assert "cdf97, faithful to its paper" in run("info", target).stdout
-
-
-def test_methods_without_a_paper_are_not_faithful(tmp_path, dem):
-    done = run("compress", dem, tmp_path / "a.twz", "-o", "faithful")
-    assert "found -o faithful and no --method, expected --method cdf97" in one_line(done, 2)
-
-
-def test_unknown_unit_is_said(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
-    target = tmp_path / "a.twz"
-    done = run("compress", path, target, "--method", "store")
-    assert done.output.count("names no vertical unit") == 1
-    assert "unit unknown" not in done.output
-    assert [line.split() for line in run("info", target).stdout.splitlines()].count(
-        ["unit", "unknown"]
-    ) == 1
-
-
-def test_a_known_unit_stands_behind_each_number_and_no_note_does(tmp_path, dem):
-    done = run("compress", dem, tmp_path / "a.twz", "--method", "store")
-    assert done.stdout.splitlines()[-1].endswith(" m")
-    assert "vertical unit" not in done.output
-
-
-def test_parts_of_a_file_add_up_to_it(twz):
-    fields = json.loads(run("info", twz, "--json").stdout)
-    parts = fields["parts"]
-    assert (
-        sum(parts["heights"]) + sum(v for k, v in parts.items() if k != "heights")
-        == (fields["n_bytes"])
-    )
-    assert len(parts["heights"]) == fields["n_levels"]
-    assert all(parts["heights"])
-    lines = run("info", twz).stdout.splitlines()
-    assert sum(line.strip().startswith("level ") for line in lines) == fields["n_levels"]
-
-
-def test_parts_of_several_levels_together_are_one_number(tmp_path, dem):
-    target = tmp_path / "a.twz"
-    run("compress", dem, target, "--method", "cdf53", "--max-error", "1")
-    parts = json.loads(run("info", target, "--json").stdout)["parts"]
-    assert len(parts["heights"]) == 1
-
-
-def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
-    heights = terrain_like(40, 70)
-    heights[3:5, 60:70] = -9
-    path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
-    target = tmp_path / "a.twz"
-    run("compress", path, target, "--method", "store", "--block", "32")
-    assert "marked by the value -9" in run("info", target).stdout
-    assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
-    assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20
-
-
 def marked(tmp_path, value, dtype, at=(50, 61), low=200, **options):
     heights = (terrain_like(80, 90) % 500 + low).astype(dtype)
     heights[at[0] : at[0] + 3, at[1] : at[1] + 4] = value
@@ -393,81 +207,11 @@ def test_an_undeclared_void_is_noted_with_place_and_value(tmp_path, dtype):
     assert f"declare the nodata value {shown}" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("value", "low", "options"),
-    [
-        (-9999, 200, {"nodata": -9999}),
-        (-9999, -9990, {}),  # the bottom of a sea
-        (-9998, 200, {}),
-    ],
-)
-def test_heights_are_not_taken_for_voids(tmp_path, value, low, options):
-    assert marked(tmp_path, value, "int16", low=low, **options).output == ""
-
-
 def test_a_number_that_is_no_height_is_refused_with_its_place(tmp_path):
     done = marked(tmp_path, np.finfo("float32").min, "float32")
     line = one_line(done, 1)
     assert "12 heights are -3.4028235e+38, the first at row 50, column 61" in line
     assert line.endswith("declare the nodata value -3.4028235e+38")
-
-
-def test_recursive_errors_are_never_below_the_measured_ones(tmp_path):
-    target = tmp_path / "a.twz"
-    terrainwave.compress(terrain_like(300, 200), target, max_error=2, method="store", block=32)
-    measured, recursive = (
-        run("info", target, "--errors", kind).stdout.splitlines()[-6:]  # a head and five levels
-        for kind in ("measured", "recursive")
-    )
-    assert measured[0].split() == ["level", "rows", "columns", "largest", "error"]
-    for below, above in zip(measured[1:], recursive[1:], strict=True):
-        assert below.split()[:3] == above.split()[:3]
-        assert float(below.split()[3]) <= float(above.split()[3])
-    assert float(measured[-1].split()[3]) == 2
-
-
-def test_recursive_error_of_a_spike_is_that_of_equation_2(tmp_path):
-    # A bound of 1 makes steps of 3, and 2 of all heights from 1 to 3. Level -2 holds every second
-    # sample, 2 everywhere. The spike at (1, 1) is 2 + 3 * 3. By hand: 1, then 1 + 9 + 1.
-    heights = np.ones((65, 65), "int16")
-    heights[1, 1], heights[1, 33] = 11, 2
-    target = tmp_path / "a.twz"
-    terrainwave.compress(heights, target, max_error=1, method="store", block=32, mesh="none")
-    with terrainwave.open(target) as terrain:
-        coarse = terrain.read(level=-2)
-        assert (terrain.read()[1, 1], coarse.min(), coarse.max()) == (11, 2, 2)
-    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
-    assert fields["level_errors"][-2:] == [11, 1]
-    assert "level_mesh_errors" not in fields
-
-
-@pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
-def test_recursive_errors_are_those_of_equations_2_and_3(tmp_path, method):
-    """Against `reference.recursive_errors`, in heights of half metres."""
-    target, bound = tmp_path / "a.twz", 3
-    heights = (0.5 * terrain_like(129, 129)).astype(np.float32)
-    options = {"method": method, "mesh": "zerotree", "block": 32}
-    terrainwave.compress(heights, target, max_error=bound, **options)
-    with terrainwave.open(target) as terrain:
-        levels = [terrain.read(level=level) for level in range(terrain.n_levels)]
-        quanta = [(2 * level).astype(np.int64) for level in levels]
-        heights_errors, sums = [], []
-        for level, errors in enumerate(recursive_errors(quanta, 32, 2 * bound)):
-            above = terrain.n_levels - 1 - level
-            heights_errors.append(float(max(errors.values())) / 2)
-            # Err_Tri of section 2.6: a quarter is of the error that the index holds, rounded up.
-            own = {place: terrain.block_error(Block(level, *place)) for place in errors}
-            sums.append(
-                max(
-                    float(error) / 2 + max(bound * 2**above, own[place] / 4 if above else 0)
-                    for place, error in errors.items()
-                )
-            )
-    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
-    assert fields["level_errors"] == heights_errors
-    assert fields["level_mesh_errors"] == sums
-    last = run("info", target, "--errors", "recursive").stdout.splitlines()[-1]
-    assert last.split()[-2:] == ["3", "6"]
 
 
 # --- verify ------------------------------------------------------------------------------------
@@ -514,39 +258,6 @@ def test_verify_without_an_original_finds_a_damaged_block(twz):
     assert "problem: " in done.stdout
 
 
-@pytest.mark.parametrize("with_original", [True, False])
-def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
-    done = run("verify", twz, *[dem] * with_original)
-    assert done.exit_code == 0
-    said = "20,960 heights compared" if with_original else "no heights compared: give the ORIGINAL"
-    assert done.stdout.startswith(said)
-    assert done.stderr == ""
-
-
-def test_verify_compares_a_part_alone_and_says_which(tmp_path, dem, twz):
-    with rasterio.open(dem) as dataset:
-        window = Window(30, 20, 50, 40)
-        part = dataset.read(1, window=window)
-        profile = dataset.profile | {
-            "height": 40, "width": 50, "transform": dataset.transform @ Affine.translation(30, 20),
-        }  # fmt: skip
-    (tmp_path / "parts").mkdir()
-    path = tmp_path / "parts" / f"{twz.stem}.tif"
-    with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(part, 1)
-    done = run("verify", twz, path, "--part")
-    assert done.exit_code == 0, done.output
-    said = "heights compared in rows 20 to 59, columns 30 to 79"
-    assert f"{said} of the file: max error" in done.stdout
-    done = run("verify", twz, "--originals", path.parent, "--part")
-    assert done.exit_code == 0, done.output
-    assert said in done.stdout
-    assert json.loads(run("verify", twz, path, "--part", "--json").stdout)["window"] == [
-        20, 30, 40, 50
-    ]  # fmt: skip
-    assert run("verify", twz, path).exit_code == 1
-
-
 @pytest.mark.parametrize(
     ("words", "problem"), [([], "found --part without ORIGINAL"), (["--mesh"], "--part and --mesh")]
 )
@@ -554,37 +265,6 @@ def test_verify_refuses_a_part_without_an_original_and_its_meshes(dem, twz, word
     done = run("verify", twz, *[dem] * bool(words), "--part", *words)
     assert done.exit_code == 2
     assert problem in done.stderr
-
-
-@pytest.mark.parametrize("is_strict", [False, True])
-def test_verify_and_info_say_whether_the_bound_is_strict(tmp_path, is_strict):
-    heights = np.float32(np.round(terrain_like(60, 70, "float32")) / 10)
-    path, target = write_geotiff(tmp_path / "a.tif", heights), tmp_path / "a.twz"
-    options = ["--max-error", 0.3, "--method", "store", *["--strict"] * is_strict]
-    assert run("compress", path, target, *options).exit_code == 0
-    done = run("verify", target, path)
-    assert done.exit_code == 0
-    assert ("every height is within the bound\n" in done.stdout) is is_strict
-    assert ("off by one float spacing more" in done.stdout) is not is_strict
-    assert json.loads(run("verify", target, path, "--json").stdout)["is_strict"] is is_strict
-    with terrainwave.open(target) as terrain:
-        decoded = terrain.read()
-    assert (float(np.abs(decoded - heights).max()) <= 0.3) is is_strict
-    assert ("stored floats may differ by" in run("info", target).stdout) is not is_strict
-
-
-def test_verify_notes_that_it_compared_nothing(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", np.zeros((9, 9), "int16"), nodata=0)
-    assert run("compress", path, tmp_path / "a.twz", "--method", "store").exit_code == 0
-    done = run("verify", tmp_path / "a.twz", path)
-    assert done.exit_code == 0
-    assert done.stdout.startswith("0 heights compared\n")
-    assert done.stderr == "note: no height was compared: no sample is valid in both\n"
-
-
-def test_one_is_not_several():
-    counts = count_of(1, "block"), count_of(2000, "block"), count_of(0, "unit")
-    assert counts == ("1 block", "2,000 blocks", "0 units")
 
 
 # --- mistakes ----------------------------------------------------------------------------------
@@ -617,29 +297,26 @@ def test_a_name_that_is_no_text_is_one_line(tmp_path, dem, twz):
     assert sorted(os.listdir(tmp_path)) == sorted(["dem.tif", "dem.twz", name.name])
 
 
-@pytest.mark.parametrize("url", ["http://[bad/x.twz", "http://host:port/x.twz", "http://h:99999/x"])
-def test_a_malformed_url_is_one_line(url):
-    assert "is not a URL" in one_line(run("info", url), 1)
-
-
-def test_tif_given_to_info_is_one_line(dem):
-    line = one_line(run("info", dem), 1)
-    assert "found a TIFF, expected a .twz file" in line
-    assert str(dem) in line
-
-
-def test_twz_given_to_patch_is_one_line(tmp_path, twz):
-    other = tmp_path / "other.twz"
-    shutil.copy(twz, other)
-    line = one_line(run("patch", other, twz), 1)
-    assert "already a terrainwave file" in line
-
-
-def test_text_given_to_compress_is_one_line(tmp_path):
-    path = tmp_path / "notes.txt"
-    path.write_text("hello", encoding="utf-8")
-    line = one_line(run("compress", path, tmp_path / "b.twz"), 1)
-    assert "not a raster" in line
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        *(
+            (["info", url], 1, "is not a URL")
+            for url in ("http://[bad/x.twz", "http://host:port/x.twz", "http://h:99999/x")
+        ),
+        (["info", "dem.tif"], 1, "dem.tif: found a TIFF, expected a .twz file"),
+        (["patch", "dem.twz", "other.twz"], 1, "already a terrainwave file"),
+        (["compress", "notes.txt", "b.twz"], 1, "not a raster"),
+        (["compress", "dem.tif", "no/such/a.twz"], 1, "no directory"),
+        (["decompress", "dem.twz", "no/such/a.tif"], 1, "no directory"),
+        (["compress", "dem.tif", "b.twz", "--band", "4"], 2, "found --band 4, expected 1: "),
+    ],
+)
+def test_a_mistaken_file_is_one_line(tmp_path, monkeypatch, dem, twz, words, status, message):
+    (tmp_path / "notes.txt").write_text("hello", encoding="utf-8")
+    (tmp_path / "other.twz").write_bytes(twz.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    assert message in one_line(run(*words), status)
 
 
 def test_existing_target_is_refused(dem, twz):
@@ -670,13 +347,6 @@ def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
     with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="file to be read"):
         terrainwave.compress(dataset, link, max_error=5, overwrite=True)
     assert dem.read_bytes() == before
-
-
-@pytest.mark.parametrize("command", ["compress", "decompress"])
-def test_target_in_a_missing_directory_is_one_line(tmp_path, dem, twz, command):
-    source = dem if command == "compress" else twz
-    line = one_line(run(command, source, tmp_path / "no" / "such" / TARGETS[command]), 1)
-    assert "no directory" in line
 
 
 @pytest.mark.parametrize("bound", ["-1", "nan", "inf", "one", "1m"])
@@ -733,71 +403,12 @@ def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, exp
     assert not (tmp_path / "a.tif").exists()
 
 
-def test_a_level_of_a_file_with_one_is_told(tmp_path):
-    terrainwave.compress(terrain_like(9, 9), tmp_path / "a.twz", max_error=1, method="store")
-    line = one_line(run("decompress", tmp_path / "a.twz", tmp_path / "a.tif", "--level", -2), 2)
-    assert "found --level -2, expected 0 or -1: the file has one level, the full grid" in line
-
-
-def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
-    assert "outside int16" in line
-    assert len(line) < 200
-
-
-@pytest.mark.parametrize(
-    ("command", "options", "message"),
-    [
-        ("decompress", "--bounds 2,2,1,1", "found --bounds (2.0, 2.0, 1.0, 1.0), expected left"),
-        ("decompress", "--quality 1", "found --quality and a file of method store"),
-        ("mesh", "--max-error 0.1", "found --max-error 0.1, expected at least 1"),
-        ("mesh", "--level 99", "found --level 99"),
-        ("mesh", "--solid 1e6", "found --solid 1e+06"),
-        ("mesh", "--frame native --radius 5", "found --radius 5, but"),
-        ("verify", "--band 2", "found --band 2, expected 1: "),
-    ],
-)
-def test_arguments_that_do_not_fit_are_wrong_usage_in_words_of_the_command_line(
-    tmp_path, dem, twz, command, options, message
-):
-    target = tmp_path / TARGETS.get(command, "x.ply")
-    places = {"compress": [dem, target], "verify": [twz, dem]}.get(command, [twz, target])
-    line = one_line(run(command, *places, *options.split()), 2)
-    assert message in line
-    assert f"(see terrainwave {command} --help)" in line
-    assert "`" not in line
-    assert sorted(os.listdir(tmp_path)) == ["dem.tif", "dem.twz"]
-
-
-def test_functions_speak_of_arguments(twz):
-    with terrainwave.open(twz) as terrain:
-        with pytest.raises(InvalidArgumentError, match=r"^found level 99, expected"):
-            terrain.read(level=99)
-        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 lie outside"):
-            terrain.read(bounds=(1, 1, 2, 2))
-
-
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
 def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
     source = write_geotiff(tmp_path / "a.tif", terrain_like(9, 9), bands={"scales": scale})
     line = one_line(run("compress", source, tmp_path / "a.twz", "--max-error", "1e9"), 1)
     assert "scale is" in line
     assert os.listdir(tmp_path) == ["a.tif"]
-
-
-def test_band_that_is_not_there_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 2)
-    assert "found --band 4, expected 1: " in line
-
-
-def test_missing_argument_is_wrong_usage():
-    assert "Missing argument" in one_line(run("compress", "a.tif"), 2)
-
-
-def test_no_command_shows_the_commands():
-    done = run()
-    assert done.exit_code == 2
-    assert "compress" in done.stderr
 
 
 # --- output that nobody takes
@@ -1014,32 +625,6 @@ main()
     assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
 
 
-def test_a_program_that_calls_a_command_gets_signals_after_it(usual_signals, twz):
-    with pytest.raises(SystemExit) as ended:
-        main(["info", str(twz), "--json"])
-    assert ended.value.code == 0
-    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-
-
-def ended_by_sigterm(*_, **__):
-    os.kill(os.getpid(), signal.SIGTERM)
-    interrupts.check()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-def test_an_interruption_names_the_file_that_is_complete(usual_signals, monkeypatch, tmp_path, dem):
-    with monkeypatch.context() as patched:
-        patched.setattr(
-            "terrainwave.container.targets.publication._sync_directory", ended_by_sigterm
-        )
-        done = run("compress", dem, tmp_path / "a.twz", "-q")
-    assert (done.exit_code, done.stderr.strip()) == (
-        143, f"terrainwave: terminated; {tmp_path / 'a.twz'} is complete",
-    )  # fmt: skip
-    assert run("verify", tmp_path / "a.twz", dem).exit_code == 0
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
 def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     usual_signals, monkeypatch, tmp_path, dem
@@ -1052,24 +637,6 @@ def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     assert done.exit_code == 143
     assert done.stderr.strip() == "terrainwave: terminated; the target is untouched"
     assert not (tmp_path / "a.twz").exists()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-@pytest.mark.parametrize(
-    ("command", "function"),
-    [
-        ("view", "terrainwave.render.window.viewer.run"),
-        ("verify", "terrainwave.verify"),
-        ("info", "terrainwave.open"),
-    ],
-)
-def test_an_interruption_of_a_command_without_a_target_names_none(
-    usual_signals, monkeypatch, tmp_path, dem, command, function
-):
-    terrainwave.compress(dem, tmp_path / "a.twz")
-    monkeypatch.setattr(function, ended_by_sigterm, raising=False)
-    done = run(command, tmp_path / "a.twz", *(["-q"] * (command != "info")))
-    assert (done.exit_code, done.stderr.strip()) == (143, "terrainwave: terminated")
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
@@ -1103,16 +670,6 @@ def test_hostile_strings_in_a_file_reach_the_terminal_as_plain_text(tmp_path):
     assert "[link=http://x]" in shown.output.replace("\n", "")
 
 
-def test_hostile_error_message_is_one_plain_line(tmp_path, monkeypatch):
-    def refuse(*_, **__):
-        raise CorruptStreamError(HOSTILE)
-
-    path = tmp_path / "a.twz"
-    path.write_bytes(b"\x89TWZ")
-    monkeypatch.setattr(terrainwave, "open", refuse)
-    assert "\x1b" not in one_line(run("info", path), 1)
-
-
 # --- progress ----------------------------------------------------------------------------------
 
 
@@ -1139,32 +696,6 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
     bar._bar.console.file.close()
 
 
-def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
-    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
-    bar, quiet = Bar(), Bar(quiet=True)
-    for done in (0, 1, 503, 509, 1000):
-        bar(Progress("encoding", done, 1000))
-        quiet(Progress("encoding", done, 1000))
-    assert capsys.readouterr().err.splitlines() == [
-        f"progress: encoding {percent} %" for percent in (0, 50, 100)
-    ]
-
-
-@pytest.mark.full
-@pytest.mark.large  # plain Python compiles nothing
-def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    command = [sys.executable, "-m", "terrainwave", "compress", str(dem), "--method", "store"]
-    told = []
-    for name in ("a.twz", "b.twz"):
-        done = subprocess.run(
-            [*command, str(tmp_path / name)], env=env, capture_output=True, text=True, check=True
-        )
-        told.append(done.stderr.count("compiling kernels for this machine, once"))
-        assert "compiling" not in done.stdout
-    assert told == [1, 0]
-
-
 # --- completion ---------------------------------------------------------------------------------
 
 
@@ -1183,23 +714,6 @@ def test_completion_knows_commands_options_and_values():
     assert completed("comp") == [("plain", "compress")]
     assert completed("compress", "--skip") == [("plain", "--skip-existing")]
     assert ("plain", "predictive") in completed("compress", "--method", "p")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("compress", "a"), ("compress", "a.tif", "b"), ("decompress", "a"), ("verify", "a"),
-        ("info", "a"), ("patch", "a.twz", "n"), ("render", "a"), ("render", "a.twz", "p"),
-        ("mesh", "a"), ("mesh", "a.twz", "b"), ("serve", "a"), ("tiles", "a"), ("view", "a"),
-    ],
-)  # fmt: skip
-def test_names_of_files_are_completed_by_the_shell(words):
-    assert completed(*words) == [("file", words[-1])]
-
-
-@pytest.mark.parametrize("words", [("compress", "--to", "d"), ("tiles", "a.twz", "d")])
-def test_names_of_directories_are_completed_by_the_shell(words):
-    assert completed(*words) == [("dir", words[-1])]
 
 
 @pytest.mark.full
@@ -1245,13 +759,6 @@ except SystemExit as end:
     assert "terrainwave" in done.stdout
 
 
-def test_every_command_has_help():
-    for name in main.commands:
-        done = run(name, "--help")
-        assert done.exit_code == 0
-        assert "Usage: terrainwave" in done.stdout
-
-
 # --- demo ------------------------------------------------------------------------------------
 
 
@@ -1292,3 +799,60 @@ def test_a_demo_that_fails_leaves_nothing(tmp_path, monkeypatch, had_run, failur
         assert (directory / "demo.png").read_bytes() == b"of an earlier run"
     else:
         assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("method", [terrainwave.Cdf97(faithful=True), "rapid"], ids=str)
+def test_recursive_errors_are_those_of_equations_2_and_3(tmp_path, method):
+    """Against `reference.recursive_errors`, in heights of half metres."""
+    target, bound = tmp_path / "a.twz", 3
+    heights = (0.5 * terrain_like(129, 129)).astype(np.float32)
+    options = {"method": method, "mesh": "zerotree", "block": 32}
+    terrainwave.compress(heights, target, max_error=bound, **options)
+    with terrainwave.open(target) as terrain:
+        levels = [terrain.read(level=level) for level in range(terrain.n_levels)]
+        quanta = [(2 * level).astype(np.int64) for level in levels]
+        heights_errors, sums = [], []
+        for level, errors in enumerate(recursive_errors(quanta, 32, 2 * bound)):
+            above = terrain.n_levels - 1 - level
+            heights_errors.append(float(max(errors.values())) / 2)
+            # Err_Tri of section 2.6: a quarter is of the error that the index holds, rounded up.
+            own = {place: terrain.block_error(Block(level, *place)) for place in errors}
+            sums.append(
+                max(
+                    float(error) / 2 + max(bound * 2**above, own[place] / 4 if above else 0)
+                    for place, error in errors.items()
+                )
+            )
+    fields = json.loads(run("info", target, "--json", "--errors", "recursive").stdout)
+    assert fields["level_errors"] == heights_errors
+    assert fields["level_mesh_errors"] == sums
+    last = run("info", target, "--errors", "recursive").stdout.splitlines()[-1]
+    assert last.split()[-2:] == ["3", "6"]
+
+
+def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
+    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
+    bar, quiet = Bar(), Bar(quiet=True)
+    for done in (0, 1, 503, 509, 1000):
+        bar(Progress("encoding", done, 1000))
+        quiet(Progress("encoding", done, 1000))
+    assert capsys.readouterr().err.splitlines() == [
+        f"progress: encoding {percent} %" for percent in (0, 50, 100)
+    ]
+
+
+def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
+    assert "outside int16" in line
+    assert len(line) < 200
+
+
+def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
+    heights = terrain_like(40, 70)
+    heights[3:5, 60:70] = -9
+    path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
+    target = tmp_path / "a.twz"
+    run("compress", path, target, "--method", "store", "--block", "32")
+    assert "marked by the value -9" in run("info", target).stdout
+    assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
+    assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20

@@ -2,30 +2,19 @@
 
 import json
 import re
-import sys
 
 import meshio
 import numpy as np
 import pytest
-import rasterio
 import trimesh
-from click.testing import CliRunner
+from commands import run
 from PIL import Image
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 from tri.meshes import grid_mesh
 
 import terrainwave
-from terrainwave.cli import main
-from terrainwave.export import MESH_ENDINGS
 from terrainwave.terrain import Terrain
-
-
-def run(*args):
-    """Run a command in this process; errors must have become a line and a status."""
-    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def one_line(result, status):
@@ -109,19 +98,6 @@ def test_options_reach_the_mesh(tmp_path, twz, asked):
     }
 
 
-def test_defaults_of_the_mesh(tmp_path, twz, asked):
-    assert run("mesh", twz, tmp_path / "a.ply", "--bounds", "400000,3999800,400200,4000000")
-    assert asked == {
-        "max_error": None,
-        "max_triangles": None,
-        "level": -1,
-        "window": None,
-        "bounds": (400000.0, 3999800.0, 400200.0, 4000000.0),
-        "optimise": 1,
-        "guarantee": True,
-    }
-
-
 def test_frame_and_z_scale_reach_the_file(tmp_path, twz, asked):
     target = tmp_path / "a.ply"
     assert run("mesh", twz, target, "--frame", "local", "--z-scale", "2").exit_code == 0
@@ -187,50 +163,7 @@ def test_json_of_mesh_is_complete(tmp_path, twz, asked):
     assert found["origin"] == pytest.approx([4e5 + 300, 4e6 - 495, 0])
 
 
-def test_quiet_prints_nothing(tmp_path, twz, asked):
-    assert run("mesh", twz, tmp_path / "a.ply", "--quiet").output == ""
-
-
-def test_guess_of_degrees_is_a_note(tmp_path, asked):
-    path = make(tmp_path, crs=None, transform=Affine(0.01, 0, 10, 0, -0.01, 45))
-    result = run("mesh", path, tmp_path / "a.ply", "--radius", "1737400")
-    assert result.exit_code == 0, result.output
-    (note,) = result.stderr.splitlines()
-    assert note.startswith("note: ")
-    assert "1.7374e+06 m" in note
-    assert "frame local" in result.stdout
-
-
-@pytest.mark.parametrize(
-    ("name", "advice"),
-    [
-        ("a.ply", "(--radius gives another body, --frame native leaves them as they are)"),
-        ("a.terrain", "(--radius gives another body)"),
-    ],
-)
-def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name, advice):
-    path = make(tmp_path, crs=None, transform=Affine(0.01, 0, 9, 0, -0.01, 47))
-    result = run("mesh", path, tmp_path / name, "--quiet")
-    assert result.exit_code == 0, result.output
-    assert advice in result.stderr
-
-
-def test_error_of_a_geocentric_mesh_has_its_curvature_and_needs_no_note(tmp_path, twz, asked):
-    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef", "--json")
-    assert result.stderr == ""
-    saved = json.loads(result.stdout)
-    assert saved["error"] == pytest.approx(0.5 + saved["curvature"])
-    assert 0 < saved["curvature"] < 0.5
-
-
 # Wrong usage
-
-
-@pytest.mark.parametrize("name", ["area.xyz", "area"])
-def test_an_unknown_extension_is_wrong_usage(tmp_path, twz, asked, name):
-    line = one_line(run("mesh", twz, tmp_path / name), 2)
-    assert all(extension in line for extension in MESH_ENDINGS)
-    assert asked == {}
 
 
 @pytest.mark.parametrize(
@@ -252,11 +185,6 @@ def test_wrong_options_are_one_line(tmp_path, twz, asked, options, words):
     assert not (tmp_path / "a.ply").exists()
 
 
-def test_a_tile_with_a_frame_is_wrong_usage(tmp_path, twz, asked):
-    line = one_line(run("mesh", twz, tmp_path / "a.terrain", "--frame", "ecef"), 2)
-    assert "frame of its own" in line
-
-
 # Failures
 
 
@@ -266,13 +194,6 @@ def test_an_existing_target_is_refused_before_the_work(tmp_path, twz, asked):
     assert "already exists" in line
     assert asked == {}
     assert run("mesh", twz, tmp_path / "a.ply", "--overwrite").exit_code == 0
-
-
-def test_a_missing_package_is_told_before_the_work(tmp_path, twz, asked, monkeypatch):
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    line = one_line(run("mesh", twz, tmp_path / "a.stl"), 1)
-    assert line == 'terrainwave: this needs trimesh: pip install "terrainwave[mesh]"'
-    assert asked == {}
 
 
 def test_a_picture_is_in_the_file_and_a_larger_one_is_noted(tmp_path, twz, asked, monkeypatch):
@@ -286,44 +207,6 @@ def test_a_picture_is_in_the_file_and_a_larger_one_is_noted(tmp_path, twz, asked
     assert found.getpixel((0, 0)) == (255, 0, 0)
 
 
-@pytest.mark.parametrize(
-    ("target", "picture", "status", "words"),
-    [
-        ("a.ply", "dem.tif", 2, "found --drape for .ply, expected a name that ends in .glb"),
-        ("a.stl", "dem.tif", 2, "found --drape for .stl, expected a name that ends in .glb"),
-        ("a.terrain", "dem.tif", 2, "found --drape for .terrain, expected a name that ends"),
-        ("a.glb", "none.tif", 1, "none.tif: no such file"),
-        ("a.glb", "dem.tif", 1, "expected a picture of 1 or 3 bands of 8 bits"),
-        ("a.glb", "dem.twz", 1, "is already a terrainwave file"),
-        ("a.glb", "beside.tif", 1, "lies beside the terrain"),
-    ],
-)
-@pytest.mark.parametrize("lods", [(), ("--lods", "2")])
-def test_a_picture_that_does_not_fit_is_told_before_the_work(
-    tmp_path, twz, asked, target, picture, status, words, lods
-):
-    with rasterio.open(
-        tmp_path / "beside.tif", "w", driver="GTiff", count=1, height=4, width=4, dtype="uint8",
-        crs="EPSG:32611", transform=Affine(30, 0, 9e5, 0, -30, 4e6),
-    ) as file:  # fmt: skip
-        file.write(np.ones((1, 4, 4), np.uint8))
-    command = ["mesh", twz, tmp_path / target, "--drape", tmp_path / picture, *lods]
-    assert words in one_line(run(*command), status)
-    assert asked == {}
-    assert not [path for path in tmp_path.iterdir() if path.suffix in (".ply", ".stl", ".glb")]
-
-
-def test_a_base_above_the_ground_is_refused(tmp_path, twz, asked):
-    line = one_line(run("mesh", twz, tmp_path / "a.stl", "--solid", "1000"), 2)
-    assert "found --solid 1000, expected less than the mesh's lowest height" in line
-    assert not (tmp_path / "a.stl").exists()
-
-
-def test_a_raster_instead_of_a_file_is_named(tmp_path, twz, asked):
-    line = one_line(run("mesh", tmp_path / "dem.tif", tmp_path / "a.ply"), 1)
-    assert "found a TIFF, expected a .twz file" in line
-
-
 def test_the_file_itself_is_no_target(tmp_path, twz, asked):
     source = tmp_path / "dem.ply"
     twz.rename(source)
@@ -333,103 +216,7 @@ def test_the_file_itself_is_no_target(tmp_path, twz, asked):
 # The bound holds for the file, not only for the mesh
 
 
-def with_error(monkeypatch, smallest):
-    """Let `Terrain.mesh` reach any error asked for, down to `smallest`; return those asked for."""
-    asked = []
-
-    def mesh(self, max_error, **options):
-        asked.append(max_error)
-        if max_error < smallest:
-            raise terrainwave.InvalidHeightsError("too small")
-        return grid_mesh(self.read() / 7, self.transform[:6], error=max_error, crs=self.crs)
-
-    monkeypatch.setattr(Terrain, "mesh", mesh)
-    return asked
-
-
-def test_tile_leaves_room_for_rounding_and_curvature(tmp_path, twz, monkeypatch):
-    asked = with_error(monkeypatch, smallest=0.5)
-    found = json.loads(
-        run("mesh", twz, tmp_path / "a.terrain", "--max-error", "2", "--json").stdout
-    )
-    # 1/16 is the curvature's, which takes next to nothing of it on cells of 30 m
-    assert asked == [2 - 2 / 16]
-    assert asked[0] + found["rounding"] < found["error"] <= 2
-
-
-@pytest.mark.parametrize("name", ["a.stl", "a.glb"])
-def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
-    asked = with_error(monkeypatch, smallest=0.5)
-    found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)
-    assert 1.9 < found["error"] <= 2
-    assert len(asked) == 2
-    assert asked[1] < 2 - found["rounding"]
-
-
-def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
-    asked = with_error(monkeypatch, smallest=0.5)
-    assert "rounding" not in run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr
-    assert asked == [2.0]
-
-
-def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
-    with_error(monkeypatch, smallest=2.0)
-    result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
-    assert result.exit_code == 0
-    assert "note: rounding of coordinates in the file makes the error larger than" in result.stderr
-    assert (tmp_path / "a.stl").exists()
-
-
 # Meshes of real files
-
-
-def test_mesh_of_a_file_with_voids_is_within_its_bound_and_closes(tmp_path):
-    heights = terrain_like(70, 90).astype("float64")
-    heights[20:25, 30:41] = heights[25:30, 41:44] = -32768
-    write_geotiff(
-        tmp_path / "dem.tif", heights, nodata=-32768, transform=Affine(30, 0, 4e5, 0, -30, 4e6)
-    )
-    path = tmp_path / "dem.twz"
-    terrainwave.compress(tmp_path / "dem.tif", path, max_error=1, block=32)
-    found = json.loads(run("mesh", path, tmp_path / "a.ply", "--max-error", "6", "--json").stdout)
-    assert found["error"] <= 6 + found["rounding"]
-    surface = meshio.read(tmp_path / "a.ply")
-    points, triangles = surface.points, surface.cells_dict["triangle"]
-    a, b, c = (points[triangles[:, corner]] for corner in range(3))
-    n_covered = 0
-    for row in range(1, 69):
-        for col in range(1, 89):
-            x, y = 4e5 + 30 * (col + 0.5), 4e6 - 30 * (row + 0.5)
-            height = surface_height(a, b, c, x, y)
-            if heights[row, col] == -32768:
-                assert height is None
-            elif height is not None:
-                n_covered += 1
-                assert abs(height - heights[row, col]) <= found["error"] + 1e-6
-    assert n_covered > 5700
-    assert run("mesh", path, tmp_path / "b.stl", "--solid", "-100").exit_code == 0
-    assert trimesh.load(tmp_path / "b.stl").is_watertight
-
-
-def surface_height(a, b, c, x, y):
-    """Return the height of the triangles (a, b, c) at (x, y); None where none is."""
-    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    at_b = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
-    at_c = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
-    inside = (at_b >= -1e-9) & (at_c >= -1e-9) & (at_b + at_c <= 1 + 1e-9)
-    if not inside.any():
-        return None
-    index = np.flatnonzero(inside)[0]
-    weights = np.array([1 - at_b[index] - at_c[index], at_b[index], at_c[index]])
-    return float(weights @ [a[index, 2], b[index, 2], c[index, 2]])
-
-
-def test_an_array_without_a_place_is_not_taken_for_degrees(tmp_path):
-    terrainwave.compress(terrain_like(40, 50), tmp_path / "dem.twz", max_error=0, block=32)
-    result = run("mesh", tmp_path / "dem.twz", tmp_path / "a.ply")
-    assert result.exit_code == 0, result.output
-    assert "degrees" not in result.stderr
-    assert "frame native" in result.stdout
 
 
 def test_store_adds_meshes_to_a_copy(tmp_path):
@@ -483,11 +270,6 @@ def test_decompress_writes_a_height_tile(tmp_path, twz, name):
     assert "--size window keeps the raster's own" in result.stderr
 
 
-def test_window_as_size_keeps_the_window(tmp_path, twz):
-    assert run("decompress", twz, tmp_path / "t.r16", "--size", "window").exit_code == 0
-    assert (tmp_path / "t.r16").stat().st_size == 2 * 33 * 20
-
-
 @pytest.mark.parametrize(
     ("target", "options", "words"),
     [
@@ -506,34 +288,48 @@ def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, wo
     assert not (tmp_path / target).exists()
 
 
-def test_meshing_tells_programs_how_far_it_is(tmp_path, twz, monkeypatch):
-    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
-    done = run("mesh", twz, tmp_path / "a.ply", "--max-triangles", "40")
-    told = [line for line in done.stderr.splitlines() if line.startswith("progress: meshing")]
-    assert told[0].startswith("progress: meshing ")
-    assert told[-1].endswith(" 100 %") or ", try " in told[-1]
-    assert any("meshing, try 2 " in line for line in told)
+def with_error(monkeypatch, smallest):
+    """Let `Terrain.mesh` reach any error asked for, down to `smallest`; return those asked for."""
+    asked = []
+
+    def mesh(self, max_error, **options):
+        asked.append(max_error)
+        if max_error < smallest:
+            raise terrainwave.InvalidHeightsError("too small")
+        return grid_mesh(self.read() / 7, self.transform[:6], error=max_error, crs=self.crs)
+
+    monkeypatch.setattr(Terrain, "mesh", mesh)
+    return asked
 
 
-@pytest.mark.parametrize(
-    ("options", "is_measured"),
-    [([], False), (["--measure-meshes"], True), (["--mesh", "rqt"], True)],
-)
-def test_info_says_whether_errors_of_meshes_were_measured(tmp_path, options, is_measured):
-    write_geotiff(tmp_path / "dem.tif", terrain_like(70, 50))
-    path = tmp_path / "dem.twz"
-    done = run("compress", tmp_path / "dem.tif", path, "--block", 32, "--max-error", 2, *options)
-    assert done.exit_code == 0, done.output
-    assert json.loads(run("info", path, "--json").stdout)["measured_meshes"] is is_measured
-    assert ("errors not measured" in run("info", path).stdout) is not is_measured
-    again = tmp_path / "again.twz"
-    assert run("mesh", "--store", path, again, "--original", tmp_path / "dem.tif").exit_code == 0
-    assert json.loads(run("info", again, "--json").stdout)["measured_meshes"] is True
+@pytest.mark.parametrize("name", ["a.stl", "a.glb"])
+def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)
+    assert 1.9 < found["error"] <= 2
+    assert len(asked) == 2
+    assert asked[1] < 2 - found["rounding"]
 
 
-def test_measuring_no_meshes_is_noted(tmp_path):
-    write_geotiff(tmp_path / "dem.tif", terrain_like(33, 20))
-    options = "--method", "store", "--block", 32, "--max-error", 1, "--no-mesh", "--measure-meshes"
-    done = run("compress", tmp_path / "dem.tif", tmp_path / "dem.twz", *options)
-    assert done.exit_code == 0
-    assert "measuring meshes changes nothing: the file gets no meshes" in done.stderr + done.stdout
+def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    assert "rounding" not in run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr
+    assert asked == [2.0]
+
+
+def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
+    with_error(monkeypatch, smallest=2.0)
+    result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
+    assert result.exit_code == 0
+    assert "note: rounding of coordinates in the file makes the error larger than" in result.stderr
+    assert (tmp_path / "a.stl").exists()
+
+
+def test_tile_leaves_room_for_rounding_and_curvature(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(
+        run("mesh", twz, tmp_path / "a.terrain", "--max-error", "2", "--json").stdout
+    )
+    # 1/16 is the curvature's, which takes next to nothing of it on cells of 30 m
+    assert asked == [2 - 2 / 16]
+    assert asked[0] + found["rounding"] < found["error"] <= 2

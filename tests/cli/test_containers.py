@@ -97,22 +97,6 @@ def test_where_kernels_are_kept_is_said_once_and_the_second_run_compiles_nothing
 
 
 @pytest.mark.full
-def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(folder):
-    for _ in range(2):
-        status, lines = run(folder, *COMPRESS, program=NOWHERE)
-        assert status == 0
-        assert lines[0] == "compiling kernels, for this run only: this takes some seconds"
-        (note,) = lines[1:]
-        assert note.startswith("note: compiled kernels are not kept, and every run")
-        assert f"{folder}/kernels cannot be written" in note
-        assert note.endswith("set NUMBA_CACHE_DIR to a folder that you can write")
-    status, lines, n_compiled = run(folder, *COMPRESS, TERRAINWAVE_NUMBA_CACHE="0")
-    assert status == 0
-    assert n_compiled > 0
-    assert lines == ["compiling kernels, for this run only: this takes some seconds"]
-
-
-@pytest.mark.full
 def test_warmup_that_can_keep_nothing_ends_at_once_with_status_1(folder):
     for found in (
         run(folder, "warmup", program=NOWHERE),
@@ -125,37 +109,6 @@ def test_warmup_that_can_keep_nothing_ends_at_once_with_status_1(folder):
         assert status == 1
         assert line.startswith("terrainwave: ")
         assert "no kernel was kept" in line
-
-
-def test_warmup_into_a_folder_with_kernels_of_others_ends_with_status_1(folder):
-    own_folder(folder / "mixed")
-    (folder / "mixed" / "coding_of_others").mkdir(mode=0o555)
-    (folder / "mixed" / "coding_of_others").chmod(0o555)
-    status, (line,), _ = run(folder, "warmup", "--to", folder / "mixed")
-    assert status == 1
-    assert "no kernel was kept (Permission denied)" in line
-
-
-@pytest.mark.full
-def test_warmup_whose_kernels_are_lost_ends_with_status_1(folder):
-    program = """
-import os
-from terrainwave.cli import main, warmup
-from terrainwave.coding import kernel_cache
-def full(*_):
-    raise OSError(28, "No space left on device")
-def small(folder):
-    import numpy as np
-    from terrainwave.render.modes import regular
-    regular.half_place(np.zeros((3, 3)), 2, 2)
-kernel_cache._Entries.save_overload = full
-warmup._compress = small
-main(prog_name="terrainwave")
-"""
-    status, lines = run(folder, "warmup", "--for", "compress", program=program)
-    assert status == 1
-    assert lines[-1].startswith("terrainwave: 1 of 1 kernels that were compiled are not kept: ")
-    assert "No space left on device" in lines[-1]
 
 
 def blocks(language):

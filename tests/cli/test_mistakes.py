@@ -8,7 +8,6 @@ from commands import one_line, run
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli.commands import main
 
 PLACE = {"crs": "EPSG:32633", "transform": Affine(30.0, 0, 500_000.0, 0, -30.0, 5_000_000.0)}
 
@@ -98,26 +97,3 @@ def test_a_mistake_is_one_line_that_says_what_to_do(folder, monkeypatch, words, 
     before = sorted(folder.rglob("*"))
     assert message in one_line(run(*words.split()), status)
     assert sorted(folder.rglob("*")) == before
-
-
-def test_a_mesh_error_without_meshes_is_noted(tmp_path, folder):
-    options = ["--mesh", "none", "--mesh-error", 2]
-    done = run("compress", folder / "a.tif", tmp_path / "new.twz", *options)
-    assert done.exit_code == 0
-    assert "note: the mesh error changes nothing: the file gets no meshes" in done.stderr
-
-
-def test_a_damaged_file_has_no_error_that_was_measured(folder):
-    done = run("verify", folder / "bad.twz", folder / "a.tif")
-    assert done.exit_code == 1
-    assert "problem: " in done.stdout
-    assert ("RMSE" in done.stdout) is not ("\n0 heights compared" in done.stdout)
-
-
-def test_the_list_of_commands_cuts_no_sentence():
-    done = run("--help")
-    assert "..." not in done.stdout.partition("Commands:")[2]
-    text = " ".join(done.stdout.split())
-    for command in main.commands.values():
-        sentence = " ".join((command.help or "").split("\n\n")[0].split()).partition(". ")[0]
-        assert sentence.rstrip(".") + "." in text

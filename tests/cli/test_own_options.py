@@ -1,14 +1,10 @@
 """``-o``: options of methods and meshes on the command line."""
 
-import re
-from pathlib import Path
-
 import pytest
 from commands import run
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli.commands.mesh import mesh as mesh_command
 from terrainwave.codec import method_options
 from terrainwave.names import MESH_KINDS, METHODS
 from terrainwave.tri import mesh_options
@@ -107,80 +103,6 @@ def test_what_cannot_be_is_one_line(tmp_path, dem, words, message):
     assert not (tmp_path / "a.twz").exists()
 
 
-LISTS = "terrainwave compress --method METHOD --help"
-
-
-@pytest.mark.parametrize(
-    ("words", "pointer"),
-    [
-        ("compress a.tif a.twz -o", LISTS),
-        ("compress a.tif a.twz -o foo=2", LISTS),
-        (
-            "compress a.tif a.twz -o border_rings=2",
-            "terrainwave compress --method predictive --help",
-        ),
-        ("compress a.tif a.twz -o faithful", "terrainwave compress --method cdf97 --help"),
-        ("compress a.tif a.twz --method cdf97 -o", "terrainwave compress --method cdf97 --help"),
-        (
-            "compress a.tif a.twz --method cdf53 --mesh zerotree -o foo",
-            "terrainwave compress --method cdf53 --mesh zerotree --help",
-        ),
-        (
-            "compress a.tif a.twz -o border_rings=3 --method cdf53",
-            "terrainwave compress --method predictive --help",
-        ),
-        ("compress a.tif a.twz --max-error", "terrainwave compress --help"),
-        ("compress a.tif a.twz --open", "terrainwave compress --help"),
-        ("mesh a.twz b.twz --store -o", "terrainwave mesh --mesh KIND --help"),
-        ("mesh a.twz b.twz --store -o rate=3", "terrainwave mesh --mesh KIND --help"),
-        ("mesh a.twz b.twz --store -o select=error", "terrainwave mesh --mesh rqt --help"),
-        ("info --voids=3", "terrainwave info --help"),
-        ("nothing", "terrainwave --help"),
-    ],
-)
-def test_a_message_names_the_help_that_lists_what_is_wrong(words, pointer):
-    done = run(*words.split())
-    assert done.exit_code == 2
-    assert done.stderr.endswith(f"(see {pointer})\n")
-    if "METHOD" not in pointer and "KIND" not in pointer:
-        assert run(*pointer.split()[1:]).exit_code == 0
-
-
-def test_meshes_of_a_file_name_no_option_that_the_command_lacks(tmp_path, dem):
-    terrainwave.compress(dem, tmp_path / "a.twz", max_error=1, block=32, mesh="none")
-    names = {name for option in mesh_command.params for name in option.opts}
-    for words in ("", "--mesh rqt", "--mesh zerotree"):
-        for own in ("select=coefficient", "labels=coded", "border_rings=3", "select=x", "labels"):
-            done = run(
-                "mesh", tmp_path / "a.twz", tmp_path / "b.twz", "--store", *words.split(), "-o", own
-            )
-            assert done.exit_code == 2
-            assert f"found -o {own}" in done.stderr
-            for option in re.findall("--[a-z-]+", done.stderr.partition("(see")[0]):
-                assert option in names
-
-
-@pytest.mark.parametrize("kind", SETS, ids=lambda kind: kind.name)
-def test_help_lists_options_where_their_method_or_mesh_is_named(kind):
-    for words in (
-        [f"--{kind.argument}", kind.name, "--help"],
-        ["--help", f"--{kind.argument}", kind.name],
-    ):
-        text = run("compress", *words).stdout
-        section = text.split(f"Options of --{kind.argument} {kind.name}:")[1]
-        for name in kind.names():
-            assert f"-o {name}" in section
-    assert "Options of --" not in run("compress", "--help").stdout
-
-
-def test_help_alone_tells_how_to_list_options_and_hides_those_of_1_0():
-    text = " ".join(run("compress", "--help").stdout.split())
-    assert "--method METHOD or --mesh KIND before --help" in text
-    assert "[halves|zerotree|rqt|none]" in text
-    for former in ("--faithful", "--border-rings", "--rate", "--psnr", "zerotree-", "rqt-"):
-        assert former not in text
-
-
 def test_stored_meshes_take_options_of_their_kind(tmp_path, dem):
     terrainwave.compress(dem, tmp_path / "a.twz", max_error=1, block=32, mesh="none")
     terrainwave.store_meshes(
@@ -192,26 +114,3 @@ def test_stored_meshes_take_options_of_their_kind(tmp_path, dem):
     assert (tmp_path / "c.twz").read_bytes() == (tmp_path / "b.twz").read_bytes()
     text = run("mesh", "--mesh", "zerotree", "--help").stdout
     assert "-o labels=plain|layer|coded" in text.split("Options of --mesh zerotree:")[1]
-
-
-def rows_of_the_page():
-    """Yield the words of the command line and the call in Python of each row of the table."""
-    page = Path(__file__).parents[2] / "docs" / "command-line.md"
-    section = page.read_text(encoding="utf-8").split("## Options of methods and meshes")[1]
-    for row in re.findall(r"^\| `(.*?)` \| `(.*?)` \|", section.split("\n## ")[0], re.MULTILINE):
-        words, call = row
-        yield words.split(), call.partition("=")[2]
-
-
-def test_the_page_has_every_option_with_its_call_in_python():
-    named = set()
-    for words, call in rows_of_the_page():
-        (option,) = (words[i + 1] for i, word in enumerate(words) if word == "-o")
-        name = option.partition("=")[0]
-        kind = next(kind for kind in SETS if f"tw.{kind.__name__}(" in call)
-        made = kind.from_words({name: option}).call()
-        assert made.replace("'", '"').replace(".0)", ")") == call
-        if len(words) > 2:
-            assert words[:2] == [f"--{kind.argument}", kind.name]
-        named.add(name)
-    assert named == {name for kind in SETS for name in kind.names()}

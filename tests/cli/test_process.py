@@ -9,7 +9,6 @@ import shutil
 import stat
 import subprocess
 import sys
-from collections import namedtuple
 from contextlib import contextmanager
 from fnmatch import fnmatch
 
@@ -141,15 +140,6 @@ main(["compress", {str(dem)!r}, {str(tmp_path / "new.twz")!r}, "--quiet"])
 
 @pytest.mark.full
 @needs_shell
-def test_a_note_says_that_stdout_is_closed(twz):
-    done = in_shell(">&-", "info", twz)
-    assert (done.returncode, done.stdout) == (0, "")
-    assert done.stderr == "note: stdout is closed: what is printed there is lost\n"
-    assert in_shell(">&-", "verify", twz, "--json").stderr == done.stderr
-
-
-@pytest.mark.full
-@needs_shell
 def test_a_file_cannot_go_to_a_closed_stdout_or_come_from_a_closed_stdin(tmp_path, dem, twz):
     for done, words in (
         (in_shell(">&-", "compress", dem, "-", *QUICK), "cannot write stdout: it is closed"),
@@ -244,14 +234,6 @@ def printed_to(stdout, **environment):
     return done.stderr
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-@pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_full_stdout_is_named_whoever_prints(unbuffered):
-    with open("/dev/full", "w") as full:
-        told = printed_to(full, PYTHONUNBUFFERED=unbuffered)
-    assert told == "terrainwave: cannot write stdout: the disk is full\n"
-
-
 @contextmanager
 def full_pipe():
     """Yield the ends of a full pipe that does not wait: a descriptor to read, a file to write."""
@@ -272,14 +254,6 @@ def test_a_stdout_that_does_not_wait_is_named_and_one_that_nobody_reads_is_not()
     os.close(reader)
     with open(writer, "wb") as pipe:
         assert printed_to(pipe) == ""
-
-
-@needs_shell
-def test_a_stdout_that_takes_only_a_part_is_named():
-    with full_pipe() as (reader, pipe):
-        os.read(reader, 4096)
-        told = printed_to(pipe, PYTHONUNBUFFERED="1", N_WORDS="3000")
-    assert told == f"terrainwave: cannot write stdout: {os.strerror(errno.EAGAIN)}\n"
 
 
 # A program that may write files of few bytes only, as on a disk that is nearly full.
@@ -331,78 +305,7 @@ def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EFBIG])
-def test_a_full_disk_is_that_of_the_file_that_is_written(tmp_path, error):
-    """Whatever writes: Python's own errors of a write name no file."""
-    from terrainwave.container.targets.publication import publish, publish_directory
-    from terrainwave.container.targets.unfinished import only_writer
-
-    target = tmp_path / "a.twz"
-    with pytest.raises(terrainwave.StorageError, match=f"cannot write {target}: "), publish(target):
-        raise OSError(error, os.strerror(error))
-    with (
-        pytest.raises(terrainwave.StorageError, match=f"cannot write {tmp_path / 'a'}: "),
-        publish_directory(tmp_path / "a", "index.html"),
-    ):
-        raise OSError(error, os.strerror(error))
-    with pytest.raises(OSError, match="other"), publish(target):
-        raise OSError(error, os.strerror(error), "other")
-    with publish(target) as part:
-        assert part.file.name == str(target)  # what errors of assembling a file name
-    with only_writer(target, tmp_path, "a.twz"):
-        pass
-
-
-@needs_shell
-def test_lines_of_libtiff_are_dropped_and_those_of_others_kept():
-    program = """
-import os, sys
-from terrainwave.cli.descriptors import without_lines_of_libtiff
-with without_lines_of_libtiff():
-    os.write(2, b"_tiffWriteProc: No space left on device.\\nTIFFAppend: full\\nother: words\\n")
-    print("ours", file=sys.stderr)
-print("after", file=sys.stderr)
-"""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    for more, words in (
-        ({}, "ours other:words after"),
-        (
-            {"TERRAINWAVE_TRACEBACK": "1"},
-            "_tiffWriteProc:Nospaceleftondevice. TIFFAppend:full other:words ours after",
-        ),
-    ):
-        done = subprocess.run(
-            [sys.executable, "-c", program],
-            capture_output=True, text=True, timeout=300, env=environment | more,
-        )  # fmt: skip
-        assert done.stderr.replace(" ", "").split() == words.split()
-
-
 # --- sizes
-
-
-@pytest.mark.parametrize("free", [0, 1, 700, 1900, 2**40])
-def test_sizes_that_decide_are_told_apart(tmp_path, dem, monkeypatch, free):
-    usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(1, 1, free))
-    done = run("compress", dem, tmp_path / "a.twz", *QUICK)
-    if free > 40 * 36 * 4 // 3:
-        assert done.exit_code == 0
-        return
-    found = re.search(r"need about (.*?), .* has (.*?) free", one_line(done, 1))
-    assert found, done.stderr
-    assert found[1] != found[2]
-    assert not found[1].startswith("0")
-
-
-def test_sizes_are_in_units_that_show_them():
-    from terrainwave.arguments import size_of
-
-    sizes = [0, 1, 999, 1000, 12_345, 123_456, 5_000_000, 12_300_000_000, 4 * 10**12]
-    assert [size_of(size) for size in sizes] == [
-        "0 bytes", "1 byte", "999 bytes", "1.0 kB", "12.3 kB", "123 kB", "5.0 MB", "12.3 GB",
-        "4.0 TB",
-    ]  # fmt: skip
 
 
 # --- names as long as the system takes
@@ -485,36 +388,6 @@ def test_what_is_published_has_the_modes_of_the_umask(tmp_path, twz, monkeypatch
 
 
 # --- a display that nobody serves
-
-
-@pytest.mark.parametrize(
-    ("display", "words"),
-    [
-        (None, "found no DISPLAY in the environment"),
-        ("", "found no DISPLAY in the environment"),
-        (":77", "no X server answers for DISPLAY :77"),
-    ],
-)
-def test_a_display_of_nobody_is_named(twz, monkeypatch, display, words):
-    from terrainwave.errors import TerrainwaveError
-    from terrainwave.render.window import viewer
-
-    class Toolkit:
-        WindowConfig = object
-
-        @staticmethod
-        def create_window_config_instance(*_, **__):
-            raise RuntimeError('Cannot connect to "None"')
-
-    monkeypatch.setattr(viewer, "need", lambda *_, **__: Toolkit)
-    monkeypatch.setattr(viewer, "window_config", lambda *_: None)
-    if display is None:
-        monkeypatch.delenv("DISPLAY", raising=False)
-    else:
-        monkeypatch.setenv("DISPLAY", display)
-    with terrainwave.open(twz) as terrain, pytest.raises(TerrainwaveError, match=words) as caught:
-        viewer.run(terrain, size=(9, 9), camera=None, style=None, max_pixel_error=1.0)
-    assert "None" not in str(caught.value)
 
 
 # --- whatever comes from below is one line
@@ -612,27 +485,6 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
     assert sorted(os.listdir(tmp_path)) == before
 
 
-@pytest.mark.few(6)
-@pytest.mark.parametrize("error", ERRORS)
-def test_whatever_is_raised_for_one_of_many_files_stops_no_other(tmp_path, dem, monkeypatch, error):
-    for name in "abc":
-        shutil.copy(dem, tmp_path / f"{name}.tif")
-    compress = terrainwave.compress
-
-    def failing(source, *arguments, **options):
-        if source.endswith("b.tif"):
-            raise ERRORS[error]()
-        return compress(source, *arguments, **options)
-
-    monkeypatch.setattr(terrainwave, "compress", failing)
-    sources = [tmp_path / f"{name}.tif" for name in "abc"]
-    done = run("compress", *sources, "--to", tmp_path / "out", *QUICK)
-    assert done.exit_code == 1
-    assert done.stdout.splitlines()[-1] == "3 files: 2 compressed, 1 failed"
-    (line,) = [line for line in done.stderr.splitlines() if line.startswith("terrainwave: ")]
-    assert "b.tif: " in line
-
-
 def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
     def raising(*_, **__):
         raise KeyError("x")
@@ -645,28 +497,3 @@ def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
     assert "Traceback" in done.stderr
     assert "in raising" in done.stderr
     assert done.stderr.splitlines()[-1].startswith("terrainwave: unexpected KeyError")
-
-
-SWALLOWED = """
-import os, signal, sys, time, weakref
-from terrainwave.cli.signals import Terminated, ending_by_signals
-class Thing: pass
-def callback(_):
-    os.kill(os.getpid(), signal.SIGTERM)  # Python drops what is raised here
-try:
-    with ending_by_signals():
-        thing = Thing()
-        reference = weakref.ref(thing, callback)
-        del thing
-        time.sleep(600)  # until the signal
-except Terminated as ended:
-    sys.exit(ended.status)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM there")
-def test_a_signal_that_python_drops_is_sent_again():
-    done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=300
-    )
-    assert (done.returncode, done.stderr) == (143, "")

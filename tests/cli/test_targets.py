@@ -13,7 +13,6 @@ from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import InvalidArgumentError, StorageError
-from terrainwave.render.window.static import Picture
 
 QUICK = ["--method", "store", "--block", 32, "--no-mesh", "--max-error", 1]
 OPTIONS = {"method": "store", "block": 32, "mesh": "none", "max_error": 1}
@@ -97,10 +96,6 @@ def test_compress_writes_no_other_name_than_twz(tmp_path, dems, name):
     assert contents(tmp_path) == before
 
 
-def test_capitals_end_a_name_too(tmp_path, dems):
-    assert run("compress", dems[0], tmp_path / "OUT.TWZ", *QUICK).exit_code == 0
-
-
 @pytest.mark.parametrize("by_link", [False, True])
 def test_a_raster_with_the_name_of_a_twz_is_never_the_target(tmp_path, dems, by_link):
     target = tmp_path / "old.twz"
@@ -116,17 +111,6 @@ def test_a_raster_with_the_name_of_a_twz_is_never_the_target(tmp_path, dems, by_
     with pytest.raises(StorageError, match="never replaced"):
         terrainwave.compress(dems[0], target, overwrite=True, **OPTIONS)
     assert contents(tmp_path) == before
-
-
-def test_a_twz_is_replaced_with_overwrite_only(tmp_path, dems, twz):
-    before = twz.read_bytes()
-    line = one_line(run("compress", dems[1], twz, *QUICK), 1)
-    assert line.endswith("already exists and is left as it is; --overwrite replaces it")
-    assert twz.read_bytes() == before
-    assert run("compress", dems[1], twz, *QUICK, "--overwrite").exit_code == 0
-    assert twz.read_bytes() != before
-    with pytest.raises(StorageError, match="left as it is; overwrite replaces it"):
-        terrainwave.compress(dems[1], twz, **OPTIONS)
 
 
 # --- every other command that writes
@@ -150,31 +134,6 @@ def test_a_command_refuses_what_it_does_not_write(tmp_path, monkeypatch, twz, co
     assert f"{target}: found" in line
     assert "expected a" in line
     assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["a.jpg", "a", "a.vrt"])
-def test_functions_refuse_what_they_do_not_write(tmp_path, twz, name):
-    picture = Picture(np.zeros((2, 2, 3), np.uint8), "")
-    for write in (
-        lambda path: terrainwave.decompress(twz, path),
-        lambda path: terrainwave.store_meshes(twz, path),
-        picture.save,
-    ):
-        with pytest.raises(InvalidArgumentError, match="expected a name that ends in"):
-            write(tmp_path / name)
-    assert os.listdir(tmp_path) == ["dem.twz"]
-
-
-def test_stats_of_a_picture_are_json(tmp_path, twz):
-    options = ["--stats", tmp_path / "stats.tif"]
-    assert "found .tif" in one_line(run("render", twz, tmp_path / "a.png", *options), 2)
-    assert os.listdir(tmp_path) == ["dem.twz"]
-
-
-def test_a_flight_cannot_go_to_stdout(tmp_path, twz):
-    (tmp_path / "flight.json").write_text("[]")
-    line = one_line(run("render", twz, "-", "--flight", tmp_path / "flight.json"), 2)
-    assert "there are several pictures" in line
 
 
 # --- stdin and stdout

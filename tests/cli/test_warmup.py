@@ -22,19 +22,19 @@ pytestmark = [pytest.mark.full, pytest.mark.large]
 
 PROGRAM = """
 import gc, json, sys
+from numba.core import event
 from numba.core.dispatcher import Dispatcher
 from terrainwave.cli import main
-for words in json.loads(sys.argv[1]):
-    main(words, standalone_mode=False)
+with event.install_recorder("numba:compile") as recorder:
+    for words in json.loads(sys.argv[1]):
+        main(words, standalone_mode=False)
 kernels = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
-json.dump(
-    [
-        f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}{signature}"
-        for kernel in kernels if kernel.py_func.__module__.startswith("terrainwave.")
-        for signature in kernel.signatures
-    ],
-    sys.stderr,
-)
+found = [
+    f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}{signature}"
+    for kernel in kernels if kernel.py_func.__module__.startswith("terrainwave.")
+    for signature in kernel.signatures
+]
+json.dump([len(recorder.buffer), found], sys.stderr)
 """
 
 
@@ -54,10 +54,11 @@ def folder(tmp_path_factory):
 def needed(folder, *commands):
     """Run commands in a process; return the kernels that they need, with types.
 
-    In a second one, which finds all in the cache: where a kernel is compiled, what it calls is
-    listed, too.
+    Where a kernel is compiled, what it calls is listed, too: then a second process, which finds all
+    in the cache, is asked.
     """
-    for _ in range(2):
+    n_compiled = 1
+    while n_compiled:
         with tempfile.TemporaryDirectory() as place:
             for raster in folder.iterdir():
                 shutil.copy(raster, place)
@@ -66,7 +67,8 @@ def needed(folder, *commands):
                 cwd=place, capture_output=True, text=True,
             )  # fmt: skip
         assert done.returncode == 0, (done.stdout, done.stderr)
-    return set(json.loads(done.stderr.splitlines()[-1]))
+        n_compiled, found = json.loads(done.stderr.splitlines()[-1])
+    return set(found)
 
 
 def commands():

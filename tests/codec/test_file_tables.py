@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lone_units import rough
 
 from terrainwave.codec.planes import CORES, TAPS
 from terrainwave.codec.predictive import file_tables as parameters_module
@@ -139,14 +140,6 @@ def test_any_bytes_give_tables_within_their_limits_or_our_own_error(data):
 # Coding with them ------------------------------------------------------------------------------
 
 
-def rough(shape, seed=0):
-    """Return a surface of steps and slopes that no trained stencil was made for."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
-    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int32)
-
-
 def fitted_to(heights, step):
     grid = Grid(*heights.shape, 256)
 
@@ -190,17 +183,6 @@ def test_fitted_tables_make_a_strange_surface_smaller_within_the_bound(step):
     except CorruptStreamError:
         return
     assert not np.array_equal(other, decoded)
-
-
-@pytest.mark.large
-def test_fitting_twice_gives_the_same_bytes():
-    heights = rough((401, 401), seed=5)
-    first, second = fitted_to(heights, 3)[0], fitted_to(heights.copy(), 3)[0]
-    assert first.file_tables == second.file_tables
-
-
-def test_small_rasters_get_no_tables():
-    assert fitted_to(rough((100, 100)), 3)[0].file_tables == b""
 
 
 def test_extreme_file_tables_cannot_overflow():

@@ -63,12 +63,6 @@ def test_an_all_void_unit_has_no_payload():
     assert payload == b""
 
 
-def test_an_all_valid_unit_has_no_mask_section():
-    spec = root_spec(9, 9)
-    payload, _ = round_trip(spec, np.zeros((9, 9)), valid_everywhere(spec))
-    assert len(payload) == 1 + 5  # flags and the store's head, no bits for a constant
-
-
 def pyramid_of_masks(valid, grid):
     return [level_mask(valid, grid.k_max - level) for level in range(grid.k_max + 1)]
 
@@ -217,10 +211,6 @@ def outcome(method, spec, payload):
 
 
 methods = pytest.mark.parametrize("method", ["store", "cdf97"])
-
-
-def test_the_damaged_units_have_a_mask_and_exceptions():
-    assert small_unit("store")[1][0] == 0b11
 
 
 @methods

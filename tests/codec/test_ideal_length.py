@@ -70,8 +70,7 @@ def account(accountant, tmp_path, method, step, has_parent):
 
 @pytest.mark.large
 @pytest.mark.full
-@pytest.mark.parametrize("has_parent", [False, True])
-@pytest.mark.parametrize("step", [1, 7])
+@pytest.mark.parametrize(("step", "has_parent"), [(1, True), (7, False)])
 @pytest.mark.parametrize("method", ["predictive", "cdf97"])
 def test_coded_size_is_within_one_percent_of_the_ideal(
     accountant, tmp_path, method, step, has_parent

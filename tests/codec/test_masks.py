@@ -123,13 +123,6 @@ def test_a_disc_costs_less_than_four_bits_per_sample_of_its_outline():
 
 
 @pytest.mark.large
-def test_one_void_sample_of_many_costs_hardly_more_than_its_place():
-    valid = np.ones((1025, 1025), dtype=bool)
-    valid[333, 1001] = False
-    assert len(alone(valid)) <= 12
-
-
-@pytest.mark.large
 @pytest.mark.parametrize(("share", "most"), [(0.05, 1.1), (0.2, 1.06), (0.5, 1.04)])
 def test_noise_costs_hardly_more_than_its_entropy(share, most):
     mask = np.random.default_rng(0).random((257, 257)) < share
@@ -208,11 +201,3 @@ def test_a_parent_without_a_valid_sample_implies_that_all_are_void():
     outer, region = Region(0, 0, 3, 3), Region(0, 0, 5, 5)
     found = decode_validity(b"", region, Above(outer, all_void((3, 3))), is_finest=True)
     assert not as_array(found.mask, region.shape).any()
-
-
-def test_the_annex_has_a_frequency_for_each_model_and_set():
-    samples, groups = masks.frequencies()
-    assert (len(samples), len(groups)) == (16, 7)
-    assert samples.shape[1] + groups.shape[1] == masks.N_MODELS
-    assert min(samples.min(), groups.min()) >= 1
-    assert max(samples.max(), groups.max()) < masks.N_SLOTS

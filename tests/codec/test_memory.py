@@ -15,14 +15,6 @@ def test_memory_is_lent_to_one_at_a_time_and_then_again():
         assert {id(third), id(fourth)} == {id(first), id(second)}
 
 
-def test_memory_comes_back_after_an_error():
-    spares = Spares(lambda: np.zeros(3))
-    with pytest.raises(KeyError), spares.lent() as first:
-        raise KeyError
-    with spares.lent() as second:
-        assert second is first
-
-
 def address_of(heights):
     return heights.__array_interface__["data"][0]
 
@@ -59,11 +51,3 @@ def test_a_part_of_a_unit_is_seen_in_its_memory(part):
     assert np.shares_memory(memory, heights)
     seen = [memory[row * pitch : row * pitch + views.shape[1]] for row in range(views.shape[0])]
     assert np.array_equal(seen, views)
-
-
-def test_parts_of_other_arrays_are_copied():
-    heights = np.arange(63, dtype=np.int32).reshape(7, 9).copy()
-    for views in (heights[1:, 2:], heights[::2, ::2], heights.T):
-        memory, pitch = flat(views)
-        assert not np.shares_memory(memory, heights)
-        assert np.array_equal(memory.reshape(-1, pitch), views)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from lone_units import rough
 
 from terrainwave.codec.planes import FileStencil
 from terrainwave.codec.rapid import file_tables as module
@@ -37,7 +38,6 @@ from terrainwave.codec.rapid.symbols import (
 from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Grid, Region
 
 pytestmark = pytest.mark.kernels
@@ -94,16 +94,6 @@ def test_trained_tables_alone_are_one_byte(family):
     made = tables_of(section, 1)
     assert made.k_max == 31
     np.testing.assert_array_equal(made.weights, NUMBER_OF_CODE[annex().weights[family]])
-
-
-@pytest.mark.parametrize("change", ["stencils", "weights", "cut", "codes"])
-def test_each_part_alone_is_more_than_a_byte(change):
-    tables = plain_tables(2, 1)._replace(**{change: getattr(some_tables(), change)})
-    if change == "codes":  # tables of pairs below the family's cut alone
-        tables = tables._replace(codes={0: tables.codes[0], SINGLES: tables.codes[SINGLES]})
-    section = pack_file_tables(tables)
-    assert len(section) > 1
-    same(parse_file_tables(section, 1), tables)
 
 
 def test_frequencies_fill_all_slots_and_leave_no_sample_without_one():
@@ -198,6 +188,7 @@ def test_frequencies_that_leave_nothing_to_details_of_zero_are_refused(table):
     refused(tables, f"table {table} leave 0 slots")
 
 
+@pytest.mark.large
 def test_every_prefix_and_an_extra_byte_are_refused():
     section = pack_file_tables(some_tables())
     for length in range(2, len(section)):
@@ -230,14 +221,6 @@ def test_damaged_bytes_give_tables_within_their_limits_or_our_own_error():
 
 
 # Fits -------------------------------------------------------------------------------------------
-
-
-def rough(shape, seed=0):
-    """Return a surface of steps and slopes that no trained stencil was made for."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
-    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int32)
 
 
 def fitted(heights, step, valid=None, each=map):
@@ -273,23 +256,6 @@ def test_fitted_tables_make_a_strange_surface_smaller(step):
     assert size_of(tables, heights, step) < 0.97 * size_of(plain, heights, step)
 
 
-def test_fits_are_the_same_on_any_number_of_threads():
-    heights = rough((401, 401), seed=5)
-    valid = np.random.default_rng(1).random(heights.shape) < 0.9
-    with Crew(3) as crew:
-        found = [
-            pack_file_tables(fitted(heights.copy(), 3, valid, each)) for each in (map, crew.map)
-        ]
-    assert found[0] == found[1]
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 700), (2, 2), (17, 18), (300, 3)])
-def test_small_and_narrow_rasters_have_tables_that_are_sound(shape):
-    tables = fitted(rough(shape), 3)
-    same(parse_file_tables(pack_file_tables(tables), 3), tables)
-    size_of(tables, rough(shape), 3)
-
-
 def test_rasters_of_voids_or_of_one_height_have_tables_that_are_sound():
     heights = np.full((300, 300), 7, dtype=np.int32)
     none = np.zeros(heights.shape, dtype=bool)
@@ -306,11 +272,6 @@ def test_tables_do_not_depend_on_heights_of_voids():
         heights[~valid] = rng.integers(-30000, 30000, np.count_nonzero(~valid))
         found.append(pack_file_tables(fitted(heights, 1, valid)))
     assert found[0] == found[1]
-
-
-def test_extreme_heights_do_not_overflow():
-    heights = np.random.default_rng(2).integers(-(1 << 28), 1 << 28, (300, 300)).astype(np.int32)
-    size_of(fitted(heights, 1), heights, 1)
 
 
 def test_counts_by_class_are_those_of_the_kernels():

@@ -1,13 +1,11 @@
 """Does the native library encode units of rapid to the bytes that numba's kernels make?"""
 
 import ctypes
-import threading
 
 import numpy as np
 import pytest
 from lone_units_drawn import Drawn, drawn_unit
 
-from terrainwave import native_sources
 from terrainwave.codec import in_c
 from terrainwave.codec.rapid import unit_in_c
 from terrainwave.codec.rapid.details import count_seen
@@ -20,7 +18,6 @@ from terrainwave.codec.rapid.tables import weights_of
 from terrainwave.codec.rapid.unit import UnitCoder
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.coding import native_library
-from terrainwave.errors import TerrainwaveWarning
 from terrainwave.grid.quadtree import Region
 
 pytestmark = [pytest.mark.native, pytest.mark.full]
@@ -118,29 +115,6 @@ def test_symbols_of_samples_are_counted_the_same(with_library):
         assert found[0] == found[1]
 
 
-def test_the_library_encodes_where_it_is_wanted(with_library, monkeypatch):
-    used = []
-    encode = unit_in_c.encode
-    monkeypatch.setattr(unit_in_c, "encode", lambda *given: used.append(1) or encode(*given))
-    coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
-    spec = GroupSpec.alone(Region(0, 0, 3, 3), 1, 0, 9)
-    for switch, n_used in (("1", 1), ("0", 1), ("1", 2)):
-        monkeypatch.setenv(native_library.SWITCH, switch)
-        coder.encode(spec, None, np.ones((3, 3), dtype=np.int32), None)
-        assert len(used) == n_used
-
-
-def test_a_library_of_other_sources_is_told_once_and_not_used(with_library, monkeypatch):
-    monkeypatch.setattr(native_sources, "digest_of", lambda root: "0123456789abcdef")
-    monkeypatch.setattr(unit_in_c, "encode", None)
-    coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
-    spec, target = GroupSpec.alone(Region(0, 0, 3, 3), 1, 0, 9), np.ones((3, 3), dtype=np.int32)
-    with pytest.warns(TerrainwaveWarning, match="is built of other sources") as told:
-        found = [coder.encode(spec, None, target, None)[0] for _ in range(2)]
-    assert len(told) == 1
-    assert found == [BY_NUMBA[0](coder, spec, None, target, None)[0]] * 2
-
-
 def test_what_no_file_can_hold_is_refused(with_library):
     coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
     spec = GroupSpec.alone(Region(0, 0, 2, 2), 1, -(2**31), 2**31 - 1)
@@ -168,22 +142,3 @@ def test_a_job_of_another_size_is_refused(with_library):
     tables = unit_in_c._new_tables(tables_from(plain_tables(K_MAX, 0)), is_read=False)
     with pytest.raises(ValueError, match="a job of"):
         in_c.call("twz_python_encode", encoder.address, tables.address, ctypes.byref(job))
-
-
-def test_threads_encode_side_by_side(with_library):
-    rng = np.random.default_rng(5)
-    coder = UnitCoder(tables_from(plain_tables(K_MAX, 0)))
-    units = [drawn_unit(rng)._replace(kept=None) for _ in range(40)]
-
-    def payloads():
-        return [
-            unit_in_c.encode(coder, one.spec, one.parent, one.target, one.mask)[0] for one in units
-        ]
-
-    expected, found = payloads(), []
-    threads = [threading.Thread(target=lambda: found.append(payloads())) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert found == [expected] * 4

@@ -1,6 +1,5 @@
 """Do kernels that are called by kernels and by Python, or seldom, do what they should?"""
 
-import gc
 import os
 
 import numba
@@ -17,7 +16,7 @@ from terrainwave.codec.rapid.file_tables import (
     plain_tables,
 )
 from terrainwave.coding import compiled, compiler, jit
-from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part, rare_kernel
 
 needs_jit = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"}, reason="nothing is compiled"
@@ -119,11 +118,6 @@ def test_kernels_parts_and_inlined_kernels_call_one_another():
     assert all_three(numbers) == 2 * (5 + 7 + 11) + 3 * 5 + 2 * 7
 
 
-def test_a_kernel_that_kernels_call_is_there_for_python_too():
-    assert all_three(np.array([1.5, 2.5])) == 2 * 4.0 + 4.5 + 5.0
-    assert doubled(4.25) == 8.5
-
-
 def test_kernels_may_call_themselves():
     assert factorial(5) == 120
     assert of_factorials(4) == 24 + 120
@@ -145,16 +139,6 @@ def test_the_least_and_the_most_are_pythons(values):
     np.testing.assert_array_equal(extremes(*values), extremes.py_func(*values))
 
 
-@needs_jit
-def test_the_least_and_the_most_are_no_functions_to_compile(monkeypatch):
-    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
-    anew = kernel(extremes.py_func)
-    with event.install_recorder("numba:compile") as recorder:
-        anew(np.int32(3), np.int64(4), np.int8(5))
-    starts = [e for _, e in recorder.buffer if e.is_start]
-    assert [e.data["dispatcher"].py_func.__name__ for e in starts] == ["extremes"]
-
-
 @pytest.mark.full
 def test_parts_may_use_what_numba_brings():
     assert of_library(5) == 10
@@ -166,18 +150,6 @@ def test_what_only_kernels_call_is_not_compiled_for_python(monkeypatch):
     monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
     anew = kernel(all_three.py_func)
     assert compiled_by(lambda: anew(np.array([1, 2], dtype=np.int16))) == {"all_three"}
-
-
-@needs_jit
-def test_numba_has_its_own_ways_again_after_a_compilation():
-    def ways():
-        return [getattr(owner, name) for owner, name, *_ in compiler._shortcuts]
-
-    own = [shortcut.original for shortcut in compiler._shortcuts]
-    assert len(own) > 1
-    assert ways() == own
-    all_three(np.array([1, 2], dtype=np.uint32))
-    assert ways() == own
 
 
 @needs_jit
@@ -198,16 +170,6 @@ def test_kernels_may_call_generators_of_numba():
 
 
 @needs_jit
-def test_the_collector_is_on_again_after_a_compilation():
-    assert gc.isenabled()
-    all_three(np.array([1, 2], dtype=np.uint8))
-    assert gc.isenabled()
-    with pytest.raises(Exception, match="string"):
-        doubled.compile(("string",))
-    assert gc.isenabled()
-
-
-@needs_jit
 def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
     monkeypatch.setattr(jit, "_is_patient", True)
     monkeypatch.setattr(quadrupled._compiled._cache, "load_overload", lambda *_: None)
@@ -217,19 +179,6 @@ def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
     monkeypatch.setattr(quadrupled, "_seconds", 2.0)
     assert compiled_by(lambda: quadrupled(np.int16(3))) == {"quadrupled"}
     assert quadrupled(np.int16(3)) == 12
-
-
-@needs_jit
-def test_a_rare_kernel_that_has_been_compiled_is_used(monkeypatch):
-    again = rare_kernel(quadrupled._compiled.py_func)
-    with all_compiled():
-        assert again(np.int8(3)) == 12
-    # As in another process.
-    loaded = rare_kernel(quadrupled._compiled.py_func)
-    monkeypatch.setattr(jit, "_is_patient", True)
-    monkeypatch.setattr(loaded, "_plain", None)
-    assert compiled_by(lambda: loaded(np.int8(3))) == set()
-    assert loaded(np.int8(3)) == 12
 
 
 @needs_jit

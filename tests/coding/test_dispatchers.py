@@ -13,7 +13,6 @@ import yaml
 from cases import some
 
 from terrainwave.coding.compiled import TRIED
-from terrainwave.coding.private_names import missing
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,22 +69,11 @@ FAST, PLAIN = ("fast", False, True), ("plain", True, False)
 
 
 @pytest.mark.full
-def test_this_release_of_numba_was_tried_and_is_used_without_a_note(chosen):
-    assert chosen() == (FAST, [])
-
-
-@pytest.mark.full
 @pytest.mark.parametrize("version", some(["0.64.1", "0.99.0", "0.70.0rc1", "1.0.0", "0.6.8"], 4))
 def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(chosen, version):
     found, (note,) = chosen(f"numba.__version__ = {version!r}")
     assert found == PLAIN
     assert note.startswith(f"numba is {version}, and terrainwave was tried with numba 0.65 to ")
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("version", some([f"{minor}.9" for minor in TRIED], 4))
-def test_releases_with_further_mends_get_the_fast_compiler(chosen, version):
-    assert chosen(f"numba.__version__ = {version!r}") == (FAST, [])
 
 
 @pytest.mark.full
@@ -142,16 +130,6 @@ def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(
 
 
 @pytest.mark.full
-def test_without_the_names_of_numbas_cache_nothing_is_kept_and_a_note_says_so(chosen):
-    change = "c = numba.core.caching.Cache\nc._key = c._index_key\ndel c._index_key"
-    for _ in range(2):
-        found, (note,) = chosen(change)
-        assert found == FAST
-        assert note.startswith("compiled kernels are not kept: numba ")
-        assert "Cache._index_key" in note
-
-
-@pytest.mark.full
 def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "terrainwave", "warmup", "--for", "compress"],
@@ -161,26 +139,6 @@ def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "TERRAINWAVE_COMPILER: found quick, expected fast, plain or nothing" in line
-
-
-def test_names_are_found_as_attributes_and_in_what_methods_read_and_set():
-    class Base:
-        def __init__(self):
-            self._kept = 1
-
-        @property
-        def shown(self):
-            return self._read
-
-        def work(self, one, other=2):
-            pass
-
-    class Derived(Base):
-        fixed = 3
-
-    there = ["_kept", "_read", "shown", "fixed", "work", "work(self, one, other)"]
-    gone = ["_gone", "work(self, other, one)", "gone(self)", "fixed(self)", "work(self)"]
-    assert missing({Derived: [*there, *gone]}) == [f"Derived.{name}" for name in gone]
 
 
 def test_ci_runs_each_release_that_the_list_names():

@@ -103,14 +103,6 @@ def test_sources_are_what_the_imports_of_a_file_lead_to(path):
     assert [Path(source) for source in sources_of(str(path))] == sorted(found)
 
 
-def test_methods_and_triangulations_do_not_share_all_sources():
-    sources = {
-        Path(source).name for source in sources_of(str(PACKAGE / "tri" / "halves" / "halves.py"))
-    }
-    assert "jit.py" in sources
-    assert not sources & {"spiht.py", "terrain.py"}
-
-
 @pytest.fixture(scope="module")
 def copied(tmp_path_factory):
     """A copy of the package with an example of its own, whose kernels were compiled once."""
@@ -163,12 +155,6 @@ def test_a_part_is_compiled_with_its_kernels_and_again_when_its_text_changes(cop
     compiled, (scaled, _) = used(copied)
     assert compiled == ["first_of", "scaled"]
     assert scaled < 0
-
-
-@pytest.mark.full
-def test_kernels_of_the_viewer_follow_their_own_text(copied):
-    edit(copied / "render" / "modes" / "regular.py", '"""', '"""Edited. ')
-    assert used(copied)[0] == ["half_place"]
 
 
 def test_fields_of_a_tuple_that_change_places_recompile_the_kernel_that_is_given_it(copied):

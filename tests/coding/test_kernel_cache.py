@@ -49,7 +49,11 @@ place = regular.half_place._cache.place
 print(json.dumps([names, [str(one.message) for one in told], place._asdict()]))
 """
 BOTH = pytest.mark.parametrize(
-    "by", [as_stranger, pytest.param(as_root_without_rights, marks=pytest.mark.full)]
+    ("place", "by"),
+    [
+        ("beside", as_stranger),
+        pytest.param("named", as_root_without_rights, marks=pytest.mark.full),
+    ],
 )
 
 
@@ -105,7 +109,6 @@ def files_of(folder):
 
 @pytest.mark.full
 @BOTH
-@pytest.mark.parametrize("place", ["beside", "named"])
 def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place, by):
     home = own_folder(tmp_path / "home", by)
     cache = shipped / "named" if place == "named" else None
@@ -115,9 +118,7 @@ def test_kernels_are_read_where_they_cannot_be_written(shipped, tmp_path, place,
     assert not list(home.rglob("*.nb?"))
 
 
-@pytest.mark.few(1)
 @BOTH
-@pytest.mark.parametrize("place", ["beside", "named"])
 def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
     shipped, tmp_path, place, by
 ):
@@ -133,22 +134,6 @@ def test_a_kernel_that_is_not_there_is_compiled_once_and_kept_for_the_user(
     assert where["kept_in"] == str(private)
     assert str(shipped) in where["instead_of"]
     assert private.stat().st_mode & 0o777 == 0o700
-
-
-@pytest.mark.full
-def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_the_user(shipped, tmp_path):
-    temporary = own_folder(tmp_path / "temporary")
-    for expected in ["half_place"], []:
-        compiled, told, where = used(
-            shipped / "beside", dtype="float32", by=as_stranger, TMPDIR=str(temporary)
-        )
-        assert compiled == expected
-        assert told == []
-    (private,) = temporary.iterdir()
-    assert where["kept_in"] == str(private)
-    assert private.name == f"terrainwave-kernels-{temporary.stat().st_uid}"
-    assert private.stat().st_mode & 0o777 == 0o700
-    assert private.stat().st_uid == temporary.stat().st_uid
 
 
 @pytest.mark.full
@@ -190,43 +175,6 @@ def test_a_folder_of_another_user_is_not_private_even_to_root(tmp_path):
 
 
 @pytest.mark.full
-def test_where_no_place_is_found_a_note_says_so_once(shipped):
-    nowhere = "kernel_places._folders_of_the_user = lambda: iter(())"
-    for _ in range(2):
-        compiled, told, where = used(
-            shipped / "beside", dtype="float32", by=as_stranger, first=nowhere
-        )
-        assert compiled == ["half_place"]
-        assert where["kept_in"] is None
-        (note,) = told
-        assert note.startswith("compiled kernels are not kept, ")
-        assert "cannot be written" in note
-        assert "set NUMBA_CACHE_DIR" in note
-
-
-def test_folders_below_the_working_directory_are_no_place(monkeypatch, tmp_path):
-    """Neither home nor XDG_CACHE_HOME as a name that is not absolute."""
-    monkeypatch.setenv("XDG_CACHE_HOME", "cache")
-    monkeypatch.setenv("TMPDIR", "temporary")
-    monkeypatch.setattr(os.path, "expanduser", lambda name: name)
-    monkeypatch.chdir(tmp_path)
-    folders = list(kernel_places._folders_of_the_user())
-    assert all(Path(folder).is_absolute() for folder in folders)
-    assert not list(tmp_path.iterdir())
-
-
-def test_times_of_sources_and_of_kernels_do_not_count(installed, tmp_path):
-    """Layers of an image, and copies, have others."""
-    package, cache = tmp_path / "package", tmp_path / "cache"
-    shutil.copytree(installed, package)
-    assert used(package, cache=cache)[0] == ["half_place"]
-    for path in (*package.rglob("*.py"), *cache.rglob("*.nb?")):
-        os.utime(path, (1, 1))
-    shutil.copytree(cache, tmp_path / "copied")
-    assert used(package, cache=tmp_path / "copied")[0] == []
-
-
-@pytest.mark.full
 def test_kernels_of_numba_s_compiler_and_of_ours_are_kept_apart(installed, tmp_path):
     package, cache = installed, tmp_path / "cache"
     for compiler in ("fast", "plain"):
@@ -249,10 +197,6 @@ def test_each_setting_of_numba_that_changes_code_has_kernels_of_its_own(monkeypa
     assert entries._index_key(signature, codegen) == before
     monkeypatch.setattr(config, name, "another")
     assert entries._index_key(signature, codegen) != before
-
-
-def test_the_settings_that_change_code_are_settings_of_numba():
-    assert all(hasattr(config, name) for name in kernel_cache._SETTINGS)
 
 
 @pytest.mark.full
@@ -292,23 +236,6 @@ def test_files_whose_numbers_two_processes_took_at_once_are_not_taken_for_each_o
         assert used(installed, cache=cache, **other)[:2] == [["half_place"], []]
     for other in others:
         assert used(installed, cache=cache, **other)[0] == []
-
-
-@pytest.mark.full
-def test_numba_s_own_locators_have_the_last_word(installed, tmp_path):
-    """Also with callees' sources in the stamp."""
-    package = tmp_path / "package"
-    shutil.copytree(installed, package)
-    named = "UserProvidedCacheLocator"
-    options = {"cache": tmp_path / "cache", "NUMBA_CACHE_LOCATOR_CLASSES": named}
-    assert used(package, **options)[0] == ["half_place"]
-    assert used(package, **options)[0] == []
-    edited = package / "terrainwave" / "coding" / "compiled.py"
-    edited.write_text(edited.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
-    assert used(package, **options)[0] == ["half_place"]
-    del options["cache"]
-    _, (note,), _ = used(package, **options)
-    assert "NUMBA_CACHE_LOCATOR_CLASSES is set" in note
 
 
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):

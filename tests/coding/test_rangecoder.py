@@ -141,39 +141,9 @@ def test_the_example_of_the_format():
     assert encoded(bits, contexts, 1).tobytes() == bytes.fromhex("77d8aa57dadc")
 
 
-def test_four_bytes_of_255_are_no_trouble():
-    # Code equals range from the start: no encoder makes that.
-    contexts = np.arange(400) % 3
-    with pytest.raises(CorruptStreamError):
-        decoded(np.full(4000, 255, dtype=np.uint8), contexts, 3)
-
-
 def test_size_is_within_one_percent_of_the_adaptive_code_length():
     bits, contexts = skewed_bits(1, 8000)
     assert len(encoded(bits, contexts, 8)) <= 1.01 * ideal_bytes(bits, contexts, 8) + 1
-
-
-@pytest.mark.large
-def test_rate_is_near_the_entropy():
-    # A model that never forgets less than 1/128 loses about 1/(4 ln 2 * 128) bit a decision.
-    rng = np.random.default_rng(2)
-    for p in (0.5, 0.2, 0.03):
-        bits = (rng.random(200_000) < p).astype(np.uint8)
-        p = bits.mean()
-        entropy = -p * np.log2(p) - (1 - p) * np.log2(1 - p)
-        size = len(encoded(bits, np.zeros(len(bits), dtype=np.int64), 1))
-        assert size <= (entropy + 0.0035) * len(bits) / 8
-
-
-@pytest.mark.large
-def test_certain_bits_cost_almost_nothing():
-    bits = np.zeros(1_000_000, dtype=np.uint8)
-    assert len(encoded(bits, bits.astype(np.int64), 1)) <= 32
-
-
-def test_no_symbols_take_one_byte():
-    nothing = np.zeros(0, dtype=np.uint8)
-    assert len(encoded(nothing, nothing.astype(np.int64), 1)) == 1
 
 
 def test_a_carry_runs_through_held_back_bytes():

@@ -1,7 +1,6 @@
 """Whole files: what is written comes back, the same bytes for any order, random access."""
 
 import io
-import pickle
 import threading
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from container.toys import (
     everything_expected,
     read_everything,
-    toy_codes,
     toy_file,
     toy_header,
     toy_payload,
@@ -26,8 +24,7 @@ from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
-from terrainwave.errors import StorageError
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block
 
 sides = st.integers(1, 700) | st.sampled_from(
     [1, 2, 32, 33, 34, 65, 129, 257, 513, 514, 1025, 2049]
@@ -169,31 +166,6 @@ def test_payloads_near_each_other_are_read_together():
     assert len(source.reads) == 1
 
 
-def test_an_evicted_page_is_read_again():
-    header = toy_header(2000, 1999)
-    source = BufferSource(toy_file(header))
-    container = Container(source, cached_segments=1)
-    for _ in range(2):
-        for row in (0, 1, 3):
-            assert container.codes(Block(4, 4 * row, 0)) == toy_codes(Block(4, 4 * row, 0))
-    keys = header.grid.blocks(5)
-    assert container.payloads(keys) == [toy_payload(key) for key in keys]
-
-
-def test_the_page_used_last_stays_in_the_cache():
-    header = toy_header(2000, 1999)
-    source = Recording(toy_file(header))
-    container = Container(source, cached_segments=2)
-    heads = header.grid.blocks(2)
-    for head in (*heads[:2], heads[0], heads[2]):
-        container.segment(head)
-    source.reads.clear()
-    container.segments([heads[0], heads[2]])
-    assert source.reads == []
-    container.segment(heads[1])
-    assert len(source.reads) == 1
-
-
 @pytest.mark.parametrize(
     "key",
     [
@@ -206,16 +178,6 @@ def test_a_key_outside_the_grid_is_a_key_error(key):
     for method in (container.payload, container.flags, container.mesh):
         with pytest.raises(KeyError):
             method(key)
-
-
-def test_codes_of_a_block_outside_the_grid_are_a_key_error():
-    container = open_container(toy_file(toy_header(2000, 1999)))
-    for block in (Block(-1, 0, 0), Block(7, 0, 0), Block(0, 0, 1), Block(2, 0, 4)):
-        with pytest.raises(KeyError):
-            container.codes(block)
-    for block in (Block(1, 0, 0), Block(3, 0, 0)):  # heads are on level 2
-        with pytest.raises(KeyError):
-            container.segment(block)
 
 
 def test_eight_threads_read_what_one_reads():
@@ -235,29 +197,6 @@ def test_eight_threads_read_what_one_reads():
     for thread in threads:
         thread.join()
     assert not wrong
-
-
-def test_a_container_of_a_path_can_be_pickled(tmp_path):
-    header = toy_header(300, 300)
-    path = tmp_path / "a.twz"
-    path.write_bytes(toy_file(header))
-    with (
-        open_container(path) as container,
-        pickle.loads(pickle.dumps(container)) as copy,
-    ):
-        assert copy.header == header
-        assert copy.payload(Block(-1, 0, 0)) == toy_payload(Block(-1, 0, 0))
-
-
-def test_a_closed_container_says_so(tmp_path):
-    header = toy_header()
-    path = tmp_path / "a.twz"
-    path.write_bytes(toy_file(header))
-    container = open_container(path)
-    container.close()
-    container.close()
-    with pytest.raises(StorageError, match="closed"):
-        container.payload(Block(-1, 0, 0))
 
 
 # Absent segments (FORMAT.md §3.4)
@@ -336,7 +275,3 @@ def test_a_payload_of_another_segment_is_refused(tmp_path):
     spools[None].add(Block(5, 0, 0), b"x", 0, bytes(16))
     with pytest.raises(ValueError, match="does not belong"):
         assembled(header, spools)
-
-
-def test_grid_of_the_container_is_that_of_the_header():
-    assert open_container(toy_file()).grid == Grid(5, 5, 32)

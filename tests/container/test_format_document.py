@@ -8,7 +8,7 @@ import pytest
 
 from terrainwave.container import header as header_module
 from terrainwave.container.header import DTYPE_CODES, HEADER_SIZE, MAGIC
-from terrainwave.container.page import empty_page, file_order, pack_columns, page_layout
+from terrainwave.container.page import empty_page, pack_columns, page_layout
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.names import METHODS
 
@@ -56,26 +56,6 @@ def test_magic_methods_and_data_types_are_those_of_the_table():
     }
     for dtype, code in DTYPE_CODES.items():
         assert f"{code} {dtype}" in cells["dtype"]
-
-
-def figures_of_file_order():
-    """Return the two figures of §3.2: for each level of a segment rows of places in file order."""
-    for text in re.findall(r"^```order\n(.*?)^```", section("3.2"), re.M | re.S):
-        levels = re.split(r"\n\n", re.sub("first|second|third|fourth", "", text).strip("\n"))
-        yield [[list(map(int, row.split())) for row in level.splitlines()] for level in levels]
-
-
-@pytest.mark.parametrize(("figure", "k_max", "head"), [(0, 12, Block(4, 1, 2)), (1, 7, None)])
-def test_payloads_lie_in_the_order_of_the_figures(figure, k_max, head):
-    levels = list(figures_of_file_order())[figure]
-    side = 2**k_max * 32 + 1
-    keys = page_layout(Grid(side, side, 32), head).keys
-    place = {row: n for n, row in enumerate(file_order(keys))}
-    first = min(key.level for key in keys)
-    assert sorted(place.values()) == sorted(n for level in levels for row in level for n in row)
-    for row, key in enumerate(keys):
-        level = levels[key.level - first]
-        assert level[key.row % len(level)][key.col % len(level)] == place[row]
 
 
 @pytest.mark.parametrize("side", [1, 2000, 16_000])
@@ -129,12 +109,3 @@ def test_every_section_that_the_code_cites_exists():
     for path in (ROOT / "src" / "terrainwave").rglob("*.py"):
         for cited in re.findall(r"FORMAT\.md §(\d+(?:\.\d+)?)", path.read_text(encoding="utf-8")):
             assert cited in headings, f"{path.name} cites §{cited}"
-
-
-def test_every_section_that_the_document_cites_exists():
-    headings = set(re.findall(r"^#+ (\d+(?:\.\d+)?)", DOCUMENT, re.M))
-    assert set(re.findall(r"§(\d+(?:\.\d+)?)", DOCUMENT)) <= headings
-
-
-def test_the_check_value_of_crc_32_is_right():
-    assert f"0x{zlib.crc32(b'123456789'):X}" in section("1.3")

@@ -171,15 +171,6 @@ def test_a_server_that_refuses_is_asked_once(status, words, waits):
     check({"replies": [{"status": int(status)}], "requests": 1, "waits": [], "error": error}, waits)
 
 
-@pytest.mark.parametrize("case", TABLE["addresses"], ids=lambda case: case["url"])
-def test_an_address_is_asked_for_as_servers_take_it(case, waits):
-    with serving([{}]) as (server, host):
-        assert outcome(host + case["url"]) == DATA[WHERE : WHERE + LENGTH]
-        # As it came: http.server makes one slash of two.
-        targets = {request.requestline.split()[1] for request in server.asked}
-        assert targets == {case["asked"]}
-
-
 def test_a_whole_file_in_a_coding_that_is_not_known_is_refused(waits):
     reply = {"status": 200, "headers": {"Content-Encoding": "zstd"}}
     error = (

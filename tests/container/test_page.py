@@ -61,11 +61,6 @@ def test_a_page_comes_back_from_its_bytes(layout):
         np.testing.assert_array_equal(getattr(found, name), column, strict=name != "first_child")
 
 
-def test_the_length_of_a_page_does_not_depend_on_where_its_children_lie():
-    columns = pack_columns(filled_page(TOP))
-    assert len(pack_page(columns, 0)) == len(pack_page(columns, 2**62)) == page_length(columns)
-
-
 @pytest.mark.parametrize(
     ("n_rows", "n_cols", "block"),
     [(1, 1, 32), (1, 2**31, 32), (2**25, 2**25, 32), (2**25, 2**25, 1024), (2**21, 2**29, 64)],
@@ -119,12 +114,6 @@ def test_the_root_lies_first_and_the_fourth_level_of_the_top_segment_backwards(s
     order = [keys[row] for row in file_order(keys)]
     assert order[-1].level == keys[-1].level == last
     assert order == (keys if last < 2 else keys[:6] + keys[:5:-1])
-
-
-@pytest.mark.parametrize("head", [Block(3, 4, 2), Block(7, 66, 0), Block(7, 66, 35)])
-def test_segments_at_the_edge_have_an_order_as_well(head):
-    keys = page_layout(Grid(17_000, 9000, 16), head).keys
-    assert sorted(file_order(keys)) == list(range(len(keys)))
 
 
 def test_each_payload_begins_where_the_one_before_it_in_the_file_ends():

@@ -152,35 +152,6 @@ def test_what_gdal_kept_of_an_earlier_raster_goes_and_other_neighbours_stay(targ
     assert others(target) == ["a.twz.json", "b.twz.aux.xml"]
 
 
-def test_what_gdal_kept_stays_with_an_update_and_after_an_error(target):
-    for name in OF_GDAL:
-        target.with_name(name).write_bytes(OLD)
-    with publish(target, overwrite=True, is_update=True) as part:
-        part.file.write(b"new")
-    with pytest.raises(KeyboardInterrupt), publish(target, overwrite=True):
-        raise KeyboardInterrupt
-    assert others(target) == OF_GDAL
-
-
-def test_what_gdal_kept_next_to_a_symbolic_link_and_its_file_goes(tmp_path):
-    real, link = tmp_path / "a.twz", tmp_path / "link.twz"
-    real.write_bytes(OLD)
-    link.symlink_to(real)
-    for path in (real, link):
-        path.with_name(f"{path.name}.aux.xml").write_bytes(OLD)
-    with publish(link, overwrite=True) as part:
-        part.file.write(b"new")
-    assert others(real) == ["link.twz"]
-
-
-def test_a_file_of_gdal_that_cannot_be_removed_is_named(target):
-    target.with_name("a.twz.aux.xml").mkdir()
-    with pytest.raises(StorageError, match=r"cannot remove .*a\.twz\.aux\.xml"):
-        with publish(target, overwrite=True) as part:
-            part.file.write(b"new")
-    assert target.read_bytes() == b"new"
-
-
 class FullDisk:
     """A file on a disk with room for `room` bytes."""
 
@@ -266,18 +237,6 @@ def test_a_file_system_without_locks_can_be_written(target, monkeypatch):
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert target.read_bytes() == b"new"
-
-
-def test_a_system_without_fcntl_and_msvcrt_can_write(target, monkeypatch):
-    monkeypatch.setattr(unfinished, "fcntl", None)
-    monkeypatch.setattr(unfinished, "msvcrt", None)
-    with publish(target, overwrite=True) as part:
-        part.file.write(b"new")
-    assert target.read_bytes() == b"new"
-    with pytest.raises(ValueError, match="stop"):
-        with publish(target, overwrite=True):
-            raise ValueError("stop")
-    assert others(target) == []
 
 
 class FakeMsvcrt:

@@ -8,11 +8,9 @@ from hypothesis import strategies as st
 from terrainwave.container.sources.ranges import (
     AIMED_REQUESTS,
     MAX_GAP,
-    MAX_REQUEST,
     Budget,
     ByteRange,
     FetchedBytes,
-    budget_of,
     merge_ranges,
 )
 
@@ -71,16 +69,6 @@ def test_no_more_gaps_are_bridged_than_the_aim_needs():
     assert len(spans_of(ranges, budget._replace(n_requests=-2))) == 1
 
 
-def test_what_earlier_rounds_took_is_gone_from_the_budget():
-    whole = budget_of(4 * MIB)
-    assert whole == (AIMED_REQUESTS, MIB, 6 * MIB)
-    left = budget_of(4 * MIB, n_requests=2, n_wasted=MIB + 1)
-    assert left == (AIMED_REQUESTS - 2, -1, whole.most_waste - MIB - 1)
-    ranges = in_a_row(10, [1])
-    assert len(spans_of(ranges, left)) == 1
-    assert spans_of(ranges, left._replace(n_requests=2)) == ranges
-
-
 def test_ranges_that_touch_or_overlap_are_one_request_whatever_the_budget():
     nothing_left = Budget(0, -1, -1)
     ranges = [ByteRange(0, 10), ByteRange(5, 10), ByteRange(15, 5), ByteRange(7, 2)]
@@ -91,20 +79,7 @@ def test_empty_ranges_need_no_request():
     assert spans_of([ByteRange(5, 0), ByteRange(90, 0)]) == []
 
 
-places = st.builds(ByteRange, st.integers(0, 2**27), st.integers(0, 2**24))
 budgets = st.builds(Budget, st.integers(-3, 20), st.integers(-9, 2**21), st.integers(-9, 2**22))
-
-
-@given(st.lists(places, max_size=30), st.none() | budgets)
-def test_requests_cover_each_range_once_and_stay_below_16_mib(wanted, budget):
-    merged = merge_ranges(wanted, budget)
-    filled = [number for number, member in enumerate(wanted) if member.length]
-    assert sorted(n for _, members in merged for n in members) == filled
-    for span, members in merged:
-        for member in members:
-            assert span.offset <= wanted[member].offset
-            assert wanted[member].end <= span.end
-        assert span.length <= MAX_REQUEST or len(members) == 1
 
 
 @given(
@@ -153,24 +128,3 @@ def test_a_range_is_put_together_from_pieces_that_came_apart():
     assert here.take(ByteRange(1, 4)) == b"bcde"
     assert here.take(ByteRange(0, 6)) == b"abcdef"
     assert here.take(ByteRange(2, 0)) == b""
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20)), max_size=8),
-    st.integers(0, 70),
-    st.integers(0, 20),
-)
-def test_pieces_may_overlap(pieces, offset, length):
-    data = bytes(range(90))
-    here = fetched(*((start, data[start : start + size]) for start, size in pieces))
-    known = {pos for start, size in pieces for pos in range(start, start + size)}
-    wanted = ByteRange(offset, length)
-    missing = here.missing(wanted)
-    assert here.n_bytes == len(known)
-    assert [p for part in missing for p in range(part.offset, part.end)] == [
-        pos for pos in range(offset, offset + length) if pos not in known
-    ]
-    assert all(part.length for part in missing)
-    for part in missing:
-        here.add(part.offset, data[part.offset : part.end])
-    assert here.take(wanted) == data[offset : offset + length]

@@ -112,23 +112,12 @@ def test_bytes_can_be_pickled_and_a_file_object_cannot():
         pickle.dumps(BufferSource(io.BytesIO(DATA)))
 
 
-def test_a_file_object_stays_open_when_its_source_is_closed():
-    file = io.BytesIO(DATA)
-    open_source(file).close()
-    assert not file.closed
-
-
 def test_a_file_url_is_a_path(tmp_path):
     path = tmp_path / "a b"
     path.write_bytes(DATA)
     source = open_source(path.as_uri())
     assert source.read(0, 3) == DATA[:3]
     source.close()
-
-
-def test_a_source_is_taken_as_it_is():
-    source = BufferSource(DATA)
-    assert open_source(source) is source
 
 
 def test_other_things_are_no_source():

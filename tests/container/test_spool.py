@@ -1,7 +1,6 @@
 """Temporary stores of segments: any order, little memory, no files left."""
 
 import errno
-import os
 import pickle
 import threading
 
@@ -45,42 +44,6 @@ def test_a_small_segment_makes_no_file(tmp_path):
     spool.finish()
     assert list(tmp_path.iterdir()) == []
     assert b"".join(spool.chunks([key(0)])) == b"abc"
-
-
-def test_finish_gives_the_memory_back_and_close_the_file(tmp_path):
-    spool = filled(tmp_path, range(8))
-    assert list(tmp_path.iterdir()) == []
-    spool.finish()
-    assert len(spool._buffer) == 0
-    assert len(list(tmp_path.iterdir())) == 1
-    spool.close()
-    spool.close()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_payloads_may_come_after_finish(tmp_path):
-    spool = filled(tmp_path, range(20))
-    spool.finish()
-    spool.add(key(20), b"late")
-    assert b"".join(spool.chunks([key(20), key(1)])) == b"late" + payload(1) + payload(1)[:5]
-    spool.close()
-
-
-def test_waiting_spools_hold_no_file_open(tmp_path):
-    before = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else None
-    spools = [filled(tmp_path, range(30)) for _ in range(20)]
-    if before is not None:
-        assert len(os.listdir("/proc/self/fd")) == before
-    for spool in spools:
-        spool.close()
-
-
-def test_a_pickled_spool_reads_the_same_file(tmp_path):
-    spool = filled(tmp_path)
-    copy = pickle.loads(pickle.dumps(spool))
-    keys = [key(n) for n in range(60)]
-    assert list(copy.chunks(keys)) == list(spool.chunks(keys))
-    spool.close()
 
 
 def test_threads_may_add_at_the_same_time(tmp_path):
@@ -159,4 +122,12 @@ def test_after_a_failed_write_the_payloads_are_still_there(tmp_path, monkeypatch
     monkeypatch.setattr(spool, "_directory", str(tmp_path))
     spool.finish()
     assert list(spool.chunks([key(7)])) == [payload(7), payload(7)[:5]]
+    spool.close()
+
+
+def test_a_pickled_spool_reads_the_same_file(tmp_path):
+    spool = filled(tmp_path)
+    copy = pickle.loads(pickle.dumps(spool))
+    keys = [key(n) for n in range(60)]
+    assert list(copy.chunks(keys)) == list(spool.chunks(keys))
     spool.close()

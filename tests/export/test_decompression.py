@@ -1,7 +1,6 @@
 """Back to GeoTIFF and COG: heights, masks, metadata, places."""
 
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +10,9 @@ from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
-from terrainwave.export import geotiff
 from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.raster_info import RasterInfo
-from terrainwave.read import places
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
@@ -99,16 +96,6 @@ def test_statistics_of_the_original_do_not_come_back(tmp_path):
     source = tagged(tmp_path, band_tags={"STATISTICS_MEAN": "5.5", "STATISTICS_X": "1", "a": "b"})
     with rasterio.open(round_trip(tmp_path, source, max_error=0)) as dataset:
         assert dataset.tags(1) == {"a": "b"}
-
-
-def test_tags_that_are_dropped_are_listed(tmp_path):
-    source = tagged(tmp_path, short="kept", long="x" * 20_000)
-    with rasterio.open(source, "r+") as dataset:
-        dataset.update_tags(ns="SURVEY", pilot="someone")
-    with pytest.warns(TerrainwaveWarning, match="dropped, .*: the tags SURVEY, the tags long$"):
-        back = round_trip(tmp_path, source, max_error=0)
-    with rasterio.open(back) as dataset:
-        assert {"short", "long"} & set(dataset.tags()) == {"short"}
 
 
 def test_tags_of_a_hostile_file_do_no_harm(tmp_path):
@@ -195,16 +182,6 @@ def test_a_part_that_reaches_beyond_the_raster_is_cut_with_a_warning(
     assert f"is taken, {n_rows} x {n_cols} samples from row " in note
 
 
-def test_a_window_is_checked_once_however_many_parts_are_written(files, tmp_path, monkeypatch):
-    checked = []
-    monkeypatch.setattr(
-        places, "checked_numbers", lambda *given, **kw: checked.append(given) or given[1]
-    )
-    monkeypatch.setattr(geotiff, "_WINDOW_SAMPLES", 1)
-    back_from(files, tmp_path, window=(0, 0, 200, 100))
-    assert [given[1] for given in checked] == [(0, 0, 200, 100)]
-
-
 def test_a_part_outside_the_raster_is_refused(files, tmp_path):
     with pytest.raises(InvalidHeightsError, match="lies outside"):
         back_from(files, tmp_path, window=(300, 0, 5, 5))
@@ -257,32 +234,3 @@ def cog(tmp_path_factory):
 def test_a_cog_is_one(cog):
     with rasterio.open(cog[1]) as dataset:
         assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-
-
-@pytest.mark.large
-def test_a_cog_holds_the_decoded_grid(cog):
-    np.testing.assert_array_equal(read_geotiff(cog[1])[0], cog[0])
-
-
-@pytest.mark.large
-def test_overviews_of_a_cog_are_averages_of_the_decoded_grid(cog):
-    decoded, path = cog
-    with rasterio.open(path) as dataset:
-        assert dataset.overviews(1)[0] == 2
-    with rasterio.open(path, overview_level=0) as dataset:
-        overview = dataset.read(1)
-    means = decoded.reshape(550, 2, 530, 2).mean(axis=(1, 3), dtype="float64")
-    np.testing.assert_allclose(overview, means, rtol=1e-6)
-
-
-@pytest.mark.large
-def test_a_cog_leaves_nothing_beside_it(cog):
-    assert sorted(path.name for path in Path(cog[1]).parent.iterdir()) == ["dem.tif", "dem.twz"]
-
-
-@pytest.mark.large
-def test_a_cog_keeps_voids(files, tmp_path):
-    path = decompress(files / "dem.twz", tmp_path / "cog.tif", cog=True)
-    heights, valid, _ = read_geotiff(path)
-    np.testing.assert_array_equal(heights, HEIGHTS)
-    np.testing.assert_array_equal(valid, HEIGHTS != -32768)

@@ -9,13 +9,12 @@ from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, steepest, to_frame
+from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.place.ellipsoid import EARTH
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
-FOOT_US = 1200 / 3937
 
 
 def degrees(**options):
@@ -41,20 +40,10 @@ def test_local_coordinates_are_counted_from_the_middle():
     assert local.attributes["frame"]["centre"] == pytest.approx([10 + 5.5 / 3600, 45 - 4.5 / 3600])
 
 
-def test_local_heights_stay_heights():
-    mesh = degrees()
-    np.testing.assert_allclose(to_frame(mesh).points[:, 2], mesh.points[:, 2])
-
-
 @pytest.mark.parametrize(("crs", "frame"), [("EPSG:4326", "local"), ("EPSG:32633", "native")])
 def test_the_default_is_local_for_degrees_and_native_else(crs, frame):
     mesh = grid_mesh(hills(3, 3), SECONDS, crs=crs)
     assert to_frame(mesh).attributes["frame"]["name"] == frame
-
-
-def test_native_is_the_crs():
-    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633", units="ft")
-    np.testing.assert_allclose(to_frame(mesh, "native").points, mesh.points)
 
 
 @pytest.mark.parametrize("frame", ["local", "ecef"])
@@ -68,37 +57,11 @@ def test_feet_become_metres_and_the_error_stays_in_feet(frame):
     assert found.error == 4.0 + of_globe
 
 
-def test_state_plane_feet_become_metres():
-    # EPSG:2229 counts in US survey feet
-    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:2229", units="m")
-    assert extent(to_frame(mesh, "local"))[:2] == pytest.approx(
-        [4 * 30 * FOOT_US, 3 * 30 * FOOT_US]
-    )
-
-
 def test_z_scale_multiplies_heights():
     mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633")
     for frame in ("native", "local"):
         found = to_frame(mesh, frame, z_scale=2.5).points[:, 2]
         np.testing.assert_allclose(found, 2.5 * mesh.points[:, 2])
-
-
-@pytest.mark.parametrize("z_scale", [-1.0, 0.0, math.nan, math.inf])
-def test_a_z_scale_that_is_not_positive_is_refused(z_scale):
-    with pytest.raises(InvalidHeightsError, match="z_scale"):
-        to_frame(degrees(), z_scale=z_scale)
-
-
-@pytest.mark.parametrize("radius", [-1.0, 0.0, math.nan])
-def test_a_radius_that_is_not_positive_is_refused(radius):
-    with pytest.raises(InvalidHeightsError, match="radius"):
-        to_frame(degrees(), radius=radius)
-
-
-def test_a_radius_for_metres_is_refused():
-    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633")
-    with pytest.raises(InvalidHeightsError, match="not degrees"):
-        to_frame(mesh, "local", radius=1737400.0)
 
 
 @pytest.mark.parametrize("transform", [SECONDS, (1 / 3600, 0, 10, 0, 1 / 3600, 45)])
@@ -123,20 +86,6 @@ def test_ecef_agrees_with_proj():
     np.testing.assert_allclose(
         to_frame(mesh, "ecef").points, np.array([x, y, z]).T, rtol=0, atol=1e-5
     )
-
-
-def test_ecef_of_a_projected_mesh_goes_through_its_geographic_system():
-    from rasterio.warp import transform
-
-    mesh = grid_mesh(hills(6, 5), UTM, crs="EPSG:32633", units="m")
-    lon, lat = transform(CRS.from_epsg(32633), CRS.from_epsg(4326), *mesh.points.T[:2])
-    expected = EARTH.geocentric(np.column_stack([lon, lat, mesh.points[:, 2]]))
-    np.testing.assert_allclose(to_frame(mesh, "ecef").points, expected, rtol=0, atol=1e-4)
-
-
-def test_ecef_without_a_crs_is_refused():
-    with pytest.raises(InvalidHeightsError, match="no coordinate reference system"):
-        to_frame(grid_mesh(hills(3, 3), UTM), "ecef")
 
 
 MOON = (
@@ -184,29 +133,26 @@ def test_a_radius_takes_the_place_of_the_earth():
     assert extent(found)[0] == pytest.approx(0.3 * math.radians(1737400), rel=1e-9)
 
 
+EMPTY = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), (0, 0, 0), 0.0)
+IN_METRES = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633")
+AT_THE_POLE = grid_mesh(hills(3, 3), (1e-4, 0, 0, 0, -1e-4, 90.0), crs="EPSG:4326")
+
+
 @pytest.mark.parametrize(
-    "mesh", [grid_mesh(hills(3, 3), UTM), grid_mesh(hills(3, 3), SECONDS, is_placed=False)]
+    ("mesh", "options", "message"),
+    [
+        *((degrees(), {"z_scale": one}, "z_scale") for one in (-1.0, 0.0, math.nan, math.inf)),
+        *((degrees(), {"radius": one}, "radius") for one in (-1.0, 0.0, math.nan)),
+        (IN_METRES, {"frame": "local", "radius": 1737400.0}, "not degrees"),
+        (grid_mesh(hills(3, 3), UTM), {"frame": "ecef"}, "no coordinate reference system"),
+        (AT_THE_POLE, {}, "longitude have no length"),
+        (degrees(), {"frame": "geocentric"}, "local, native, ecef"),
+        (EMPTY, {}, "empty"),
+    ],
 )
-def test_what_cannot_be_degrees_is_left_as_it_is(mesh):
-    assert to_frame(mesh).attributes["frame"]["name"] == "native"
-    assert not find_place(mesh).in_degrees
-
-
-def test_the_pole_has_no_local_frame():
-    mesh = grid_mesh(hills(3, 3), (1e-4, 0, 0, 0, -1e-4, 90.0), crs="EPSG:4326")
-    with pytest.raises(InvalidHeightsError, match="longitude have no length"):
-        to_frame(mesh)
-
-
-def test_an_unknown_frame_is_refused():
-    with pytest.raises(InvalidHeightsError, match="local, native, ecef"):
-        to_frame(degrees(), "geocentric")
-
-
-def test_an_empty_mesh_is_refused():
-    empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), (0, 0, 0), 0.0)
-    with pytest.raises(InvalidHeightsError, match="empty"):
-        to_frame(empty)
+def test_what_no_frame_can_hold_is_refused(mesh, options, message):
+    with pytest.raises(InvalidHeightsError, match=message):
+        to_frame(mesh, **options)
 
 
 def test_slopes_of_a_plane_are_its_own():

@@ -1,7 +1,5 @@
 """Is the place that `decompress` writes the raster's, whatever a GeoTIFF can hold?"""
 
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -99,15 +97,6 @@ def test_a_virtual_geotiff_tells_what_it_lacks(tmp_path):
         data = stream.read()
         with MemoryFile(data) as memory, memory.open() as dataset:
             assert dataset.crs is None
-
-
-@pytest.mark.full
-def test_stdout_tells_that_the_crs_is_lost(tmp_path):
-    twz = compressed(tmp_path, CF_POLE)
-    command = [sys.executable, "-m", "terrainwave", "decompress", str(twz), "-"]
-    done = subprocess.run(command, capture_output=True, check=True)
-    assert b"the GeoTIFF alone cannot hold the CRS" in done.stderr
-    assert done.stdout[:2] == b"II"
 
 
 def test_what_told_of_a_raster_that_was_there_goes_with_it(tmp_path):

@@ -16,7 +16,6 @@ from rasterio.enums import ColorInterp
 from rasterio.warp import transform_bounds
 from tri.meshes import grid_mesh, hills
 
-import terrainwave
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -129,24 +128,6 @@ def test_each_colour_lies_where_the_picture_has_it_on_the_globe(tmp_path):
     assert_quarters(east - MIDDLE[0], north - MIDDLE[1], colors, margin=20.0)
 
 
-def test_a_white_picture_is_white(tmp_path):
-    """The colour of the plain material must not darken the picture."""
-    photo = write(tmp_path / "photo.tif", np.full((3, 9, 9), 255, np.uint8))
-    save_mesh(terrain_mesh(), tmp_path / "a.glb", drape=photo)
-    document, _ = document_of(tmp_path / "a.glb")
-    (material,) = document["materials"]
-    assert material["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
-    assert (picture_of(tmp_path / "a.glb")[0] == 255).all()
-
-
-def test_the_ground_has_the_colour_of_a_mesh_without_a_picture(tmp_path):
-    save_mesh(terrain_mesh(), tmp_path / "a.glb")
-    document, _ = document_of(tmp_path / "a.glb")
-    factor = document["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"][:3]
-    # From light to sRGB, IEC 61966-2-1.
-    assert [round(255 * (1.055 * one ** (1 / 2.4) - 0.055)) for one in factor] == list(GROUND_COLOR)
-
-
 def test_where_the_picture_ends_is_plain_ground(tmp_path):
     left, bottom, _, top = AREA
     bounds = (left, bottom, MIDDLE[0], top)
@@ -178,24 +159,6 @@ def test_what_the_picture_does_not_know_is_plain_ground(tmp_path, kind):
     assert (found[:30, :62] == RED).all()
 
 
-def test_a_photo_is_a_jpeg_and_a_map_a_png(tmp_path):
-    rng = np.random.default_rng(1)
-    photo = rng.integers(0, 256, (3, 60, 90), dtype=np.uint8)
-    save_mesh(terrain_mesh(), tmp_path / "a.glb", drape=write(tmp_path / "photo.tif", photo))
-    assert picture_of(tmp_path / "a.glb")[1] == "image/jpeg"
-    classes = np.kron(rng.integers(0, 4, (6, 9)), np.ones((10, 10), int)).astype(np.uint8)[None]
-    table = np.array([RED, GREEN, BLUE, (1, 2, 3)], dtype=np.uint8)
-    path = write(tmp_path / "map.tif", classes, photometric="palette")
-    with rasterio.open(path, "r+") as file:
-        file.write_colormap(1, {k: (*map(int, color), 255) for k, color in enumerate(table)})
-    save_mesh(terrain_mesh(), tmp_path / "b.glb", drape=path)
-    found, kind = picture_of(tmp_path / "b.glb")
-    assert kind == "image/png"
-    rows, cols = (np.arange(64) + 0.5) * 60 / 64, (np.arange(128) + 0.5) * 90 / 128
-    expected = table[classes[0][np.ix_(rows.astype(int), cols.astype(int))]]
-    np.testing.assert_array_equal(found, expected)
-
-
 def test_a_large_picture_gets_smaller_with_a_note(tmp_path, monkeypatch):
     monkeypatch.setattr(drape, "_MOST_IN_FILE", 64)
     photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (120, 180)))
@@ -211,38 +174,6 @@ def test_a_large_picture_gets_smaller_with_a_note(tmp_path, monkeypatch):
     assert picture_of(tmp_path / "b.glb")[0].shape[:2] == (32, 64)
 
 
-def test_the_walls_of_a_body_are_plain(tmp_path):
-    photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (60, 90)))
-    mesh = terrain_mesh()
-    save_mesh(mesh, tmp_path / "a.glb", solid=-999.0, drape=photo)
-    document, _ = document_of(tmp_path / "a.glb")
-    surface, walls = document["meshes"][0]["primitives"]
-    assert set(surface["attributes"]) == {"POSITION", "TEXCOORD_0"}
-    assert set(walls["attributes"]) == {"POSITION"}
-    assert [one["name"] for one in document["materials"]] == ["ground", "walls"]
-    textured = ["baseColorTexture" in one["pbrMetallicRoughness"] for one in document["materials"]]
-    assert textured == [True, False]
-    counts = [document["accessors"][one["indices"]]["count"] for one in (surface, walls)]
-    # Two triangles below each of the 2 * (20 + 30) edges, and the base.
-    assert counts == [3 * mesh.n_triangles, 3 * (mesh.n_triangles + 200)]
-    whole = trimesh.load(tmp_path / "a.glb", force="mesh")
-    whole.merge_vertices(merge_tex=True, merge_norm=True)
-    assert whole.is_watertight
-    scene = trimesh.load(tmp_path / "a.glb", process=False)
-    (ground,) = (one for one in scene.geometry.values() if one.visual.uv is not None)
-    colors = ground.visual.to_color().vertex_colors[:, :3].astype(int)
-    assert_quarters(ground.vertices[:, 0], -ground.vertices[:, 2], colors, margin=20.0)
-
-
-def test_skirts_have_the_colour_of_the_edge_above(tmp_path):
-    photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (60, 90)))
-    mesh = terrain_mesh()
-    save_mesh(mesh, tmp_path / "a.glb", skirts=50.0, drape=photo)
-    points, colors = colors_at_vertices(tmp_path / "a.glb")
-    assert len(points) == mesh.n_vertices + 100
-    assert_quarters(points[:, 0], -points[:, 2], colors, margin=20.0)
-
-
 def test_a_plain_picture_covers_the_raster_of_a_window(tmp_path):
     """Of the red quarter alone, north-west: red all over. Pixels are halves of samples."""
     Image.fromarray(np.moveaxis(bands_of(QUARTERS, (42, 62)), 0, -1)).save(tmp_path / "plain.png")
@@ -252,67 +183,11 @@ def test_a_plain_picture_covers_the_raster_of_a_window(tmp_path):
     assert (picture_of(tmp_path / "a.glb")[0] == RED).all()
 
 
-@pytest.mark.parametrize(
-    ("window", "expected"),
-    [((0, 0, 10, 14), RED), ((0, 17, 10, 14), GREEN), ((11, 0, 10, 14), BLUE)],
-)
-@pytest.mark.parametrize("is_placed", [True, False])
-def test_a_terrain_says_what_a_plain_picture_covers(tmp_path, window, expected, is_placed):
-    place = {"crs": CRS, "transform": rasterio.Affine(*UTM)} if is_placed else {}
-    heights = hills(*SHAPE).astype(np.float32)
-    with rasterio.open(
-        tmp_path / "dem.tif", "w", driver="GTiff", count=1, height=SHAPE[0], width=SHAPE[1],
-        dtype="float32", **place,
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    terrainwave.compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=1, block=32)
-    Image.fromarray(np.moveaxis(bands_of(QUARTERS, (42, 62)), 0, -1)).save(tmp_path / "plain.png")
-    with terrainwave.open(tmp_path / "dem.twz") as terrain:
-        mesh = terrain.mesh(window, max_error=2)
-    mesh.save(tmp_path / "a.glb", frame="native", drape=tmp_path / "plain.png")
-    found, _ = picture_of(tmp_path / "a.glb")
-    assert (found == expected).all()
-
-
-def test_a_plain_picture_lies_along_the_rows_of_a_turned_raster(tmp_path):
-    """A raster turned by 90 degrees: its rows run to the south, its columns to the west."""
-    turned = (0.0, -30.0, 500000.0, -30.0, 0.0, 5200000.0)
-    Image.fromarray(np.moveaxis(bands_of(QUARTERS, (42, 62)), 0, -1)).save(tmp_path / "plain.png")
-    mesh = grid_mesh(hills(*SHAPE), turned, crs=CRS)
-    mesh = replace(mesh, attributes={"footprint": Footprint(turned, SHAPE)})
-    save_mesh(mesh, tmp_path / "a.glb", frame="native", drape=tmp_path / "plain.png")
-    found, _ = picture_of(tmp_path / "a.glb")
-    at = [found[row, col].tolist() for row, col in ((2, -3), (-3, -3), (2, 2), (-3, 2))]
-    # The first row is the eastern side, and begins in the north.
-    assert at == [list(color) for color in (RED, GREEN, BLUE, YELLOW)]
-
-
-def test_levels_of_detail_have_one_picture(tmp_path):
-    write(tmp_path / "dem.tif", hills(*SHAPE).astype(np.float32)[None])
-    terrainwave.compress(tmp_path / "dem.tif", tmp_path / "dem.twz", max_error=1, block=32)
-    photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (60, 90)))
-    options = {"max_error": 2, "drape": photo}
-    saved = terrainwave.save_lods(tmp_path / "dem.twz", tmp_path / "a.glb", 3, **options)
-    assert len(saved) == 3
-    pictures = [picture_of(tmp_path / f"a_lod{number}.glb")[0] for number in range(3)]
-    assert (pictures[0] == pictures[1]).all()
-    assert (pictures[0] == pictures[2]).all()
-    assert (pictures[0][0, 0] == RED).all()
-
-
 def test_a_gltf_file_has_the_picture_inside(tmp_path):
     photo = write(tmp_path / "photo.tif", bands_of(QUARTERS, (60, 90)))
     save_mesh(terrain_mesh(), tmp_path / "a.gltf", drape=photo)
     points, colors = colors_at_vertices(tmp_path / "a.gltf")
     assert_quarters(points[:, 0], -points[:, 2], colors, margin=20.0)
-
-
-def test_equal_pictures_give_equal_files(tmp_path):
-    noise = np.random.default_rng(1).integers(0, 256, (3, 60, 90), dtype=np.uint8)
-    photo = write(tmp_path / "photo.tif", noise)
-    for name in ("a.glb", "b.glb"):
-        save_mesh(terrain_mesh(), tmp_path / name, drape=photo)
-    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
 
 
 @pytest.mark.parametrize("suffix", [name for name in MESH_ENDINGS if name not in (".glb", ".gltf")])

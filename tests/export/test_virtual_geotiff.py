@@ -22,7 +22,6 @@ from terrainwave.file import TerrainFile
 from terrainwave.raster_io.geotiff.sparse import sparse_geotiff
 from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
 from terrainwave.raster_io.raster_info import RasterInfo
-from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
 HEIGHTS = terrain_like(700, 1130)
@@ -238,16 +237,6 @@ def test_more_than_four_gigabytes_make_a_bigtiff():
         assert (dataset.read(1, window=Window(69_990, 99_990, 10, 10)) == 0).all()
 
 
-def test_a_terrain_gives_a_stream(plane, tmp_path):
-    with Terrain(plane.name) as terrain, warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(terrain.geotiff()) as dataset:
-            window = Window(900, 600, 40, 30)
-            np.testing.assert_array_equal(
-                dataset.read(1, window=window), terrain.read((600, 900, 30, 40))
-            )
-
-
 class Counted:
     """Counts the bytes that are read."""
 
@@ -275,25 +264,6 @@ def test_rasterio_reads_no_more_than_it_needs(plane, way):
             heights = dataset.read(1, window=Window(900, 600, 40, 30))
     np.testing.assert_array_equal(heights, plane.read((600, 900, 30, 40)))
     assert counted.n_bytes < counted.size / 4
-
-
-@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
-def test_rioxarray_reads_windows(source_and_terrain):
-    source, terrain = source_and_terrain
-    with rioxarray.open_rasterio(stream_of(terrain)) as array, rasterio.open(source) as original:
-        np.testing.assert_array_equal(array[0, -5:, -9:], original.read(1)[-5:, -9:])
-
-
-def test_a_stream_cannot_be_written(plane):
-    with pytest.raises(io.UnsupportedOperation, match="made when it is read"):
-        stream_of(plane).write(b"II")
-
-
-def test_opening_it_over_http_decodes_nothing(source_and_terrain, monkeypatch):
-    _, terrain = source_and_terrain
-    monkeypatch.setattr(VirtualGeoTIFF, "_tile", None)
-    # GDAL asks for pieces of 16 KiB.
-    assert len(VirtualGeoTIFF(terrain).read_at(0, 16384)) == 16384
 
 
 @pytest.mark.parametrize(

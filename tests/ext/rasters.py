@@ -6,6 +6,9 @@ from affine import Affine
 
 import terrainwave
 
+# Left, bottom, right and top of what servers show, in degrees.
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+
 
 def write_raster(path, heights, bounds, crs="EPSG:4326", units="m", **profile):
     """Write a GeoTIFF whose pixels cover `bounds` (left, bottom, right, top)."""

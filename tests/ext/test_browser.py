@@ -6,7 +6,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from ext.browser import chromium, console, screenshot, served, wait_until
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
@@ -17,7 +17,6 @@ from terrainwave.ext.serve.app import make_app
 
 HERE = Path(__file__).parent
 CESIUM = HERE / "node_modules" / "cesium" / "Build" / "Cesium"
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 HOLE = (8.42, 46.32)
 
 pytestmark = pytest.mark.full

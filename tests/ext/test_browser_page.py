@@ -1,15 +1,12 @@
 """Does the page of `terrainwave serve` show mountains, say what it lacks, and never mix two?"""
 
-import json
 import re
-import urllib.request
-from urllib.parse import quote
 
 import numpy as np
 import pytest
-from ext.browser import chromium, console, screenshot, served, wait_until
+from ext.browser import console, screenshot, served, wait_until
 from ext.gate import Gate
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from rasterio import open as open_raster
 from scipy.ndimage import label
 from scipy.spatial import ConvexHull
@@ -19,7 +16,6 @@ from selenium.webdriver.support.select import Select
 import terrainwave
 from terrainwave.ext.serve.app import make_app
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 HTML = '<img src=x onerror="window.pwned = 1">'
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
@@ -52,12 +48,6 @@ def gate(folder):
 def address(gate):
     with served(gate) as address:
         yield address
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
 
 
 @pytest.fixture
@@ -147,13 +137,6 @@ def test_what_could_not_be_loaded_is_said_and_tried_again(gate, page):
     assert not driver.find_element("id", "status").is_displayed()
 
 
-def test_a_list_of_terrains_that_does_not_come_is_said(gate, page):
-    gate.broken = ("/terrains.json",)
-    driver = page(complete=False)
-    wait_for(driver, "failed")
-    assert "cannot be shown: the server answered 500" in text(driver, "message")
-
-
 def test_late_answers_for_another_terrain_change_nothing(gate, page):
     """Terrain, slider and colours change while answers for two terrains are on their way."""
     driver = page("terrain=hills")
@@ -222,78 +205,6 @@ def test_an_address_brings_the_view_back(page):
     assert text(driver, "factor") == "3.0"
 
 
-@pytest.mark.parametrize(
-    "told", ["view=1,2,3", "view=nan,0,1e9,0,0&times=-3&colours=x", f"terrain={quote(HTML)}&times="]
-)
-def test_an_address_without_sense_shows_the_first_terrain(page, told):
-    driver = page(told)
-    wait_until(driver, "location.hash.startsWith('#terrain=hills&view=46.')")
-    assert "times=1&colours=tints&shaded=1" in driver.execute_script("return location.hash")
-    assert driver.execute_script("return window.pwned") is None
-    assert not console(driver)
-
-
-def test_addresses_are_copied_with_and_without_a_clipboard(address, page):
-    driver = page("terrain=hills")
-    driver.find_element("css selector", "#sharing summary").click()
-    fields = driver.find_elements("css selector", "#addresses input")
-    buttons = driver.find_elements("css selector", "#addresses button")
-    wait_until(driver, "location.hash.includes('view=')")
-    values = [field.get_attribute("value") for field in fields]
-    assert values[0] == driver.current_url
-    place = {"{z}": "9", "{x}": "267", "{y}": "181"}
-    for value in values[1:]:
-        assert value.startswith(f"{address}/hills")
-        for name, number in place.items():
-            value = value.replace(name, number)
-        value += "/layer.json" if value.endswith("/mesh") else ""
-        with urllib.request.urlopen(value) as answer:
-            assert answer.status == 200
-    # The clipboard may be refused, or not be there: then what was selected is copied.
-    driver.execute_script(
-        "window.copied = []; document.execCommand = () => {"
-        " copied.push(document.activeElement.value); return true; };"
-        "Object.defineProperty(navigator, 'clipboard', {configurable: true, value: undefined})"
-    )
-    buttons[1].click()
-    wait_until(driver, "copied.length === 1")
-    assert buttons[1].text == "Copied"
-    driver.execute_script(
-        "Object.defineProperty(navigator, 'clipboard', {value: {"
-        " writeText: async (text) => { copied.push('clipboard ' + text); }}})"
-    )
-    buttons[4].click()
-    wait_until(driver, "copied.length === 2")
-    assert driver.execute_script("return copied") == [values[1], f"clipboard {values[4]}"]
-
-
-def test_colours_have_a_legend_in_metres(address, page):
-    driver = page("terrain=hills&shaded=0&view=46.2,8.25,10.5,0,0")
-    with_tints = screenshot(driver)
-    ticks = text(driver, "ticks").split()
-    assert ticks[1::2] == ["m"] * (len(ticks) // 2)
-    heights = [float(tick) for tick in ticks[::2]]
-    assert heights == sorted(heights)
-    with urllib.request.urlopen(f"{address}/terrains.json") as answer:
-        found = json.load(answer)[0]
-    assert (heights[0], heights[-1]) == (found["lowest"], found["highest"])
-    choose(driver, "colours", "cividis")
-    wait_for(driver, "complete")
-    bar = driver.find_element("id", "bar").value_of_css_property("background-image")
-    assert bar.startswith("linear-gradient(to right, rgb(0, 34, 78) 0%, ")
-    assert bar.endswith(", rgb(254, 232, 56) 100%)")
-    wait_until(driver, "terrainMap.loaded()")
-    assert (screenshot(driver)[150:400, 350:700] != with_tints[150:400, 350:700]).mean() > 0.3
-    choose(driver, "colours", "none")
-    assert not driver.find_element("id", "legend").is_displayed()
-    wait_until(driver, "terrainMap.loaded()")
-    plain = screenshot(driver)[150:400, 350:700].reshape(-1, 3)
-    assert np.abs(plain.astype(int) - (0xCF, 0xC8, 0xB8)).max() <= 2
-    driver.find_element("id", "shaded").click()
-    wait_until(driver, "terrainMap.loaded()")
-    assert screenshot(driver)[150:400, 350:700].astype(float).mean(axis=2).std() > 4
-
-
 def test_what_a_file_says_of_its_origin_is_text(page):
     driver = page("terrain=moor")
     terms = [term.text for term in driver.find_elements("css selector", "#tags dt")]
@@ -302,29 +213,6 @@ def test_what_a_file_says_of_its_origin_is_text(page):
     assert driver.execute_script("return window.pwned") is None
     choose(driver, "terrain", "hills")
     assert not driver.find_element("id", "origin").is_displayed()
-
-
-def test_the_panel_folds_on_a_phone(page):
-    override = {"width": 390, "height": 760, "deviceScaleFactor": 1, "mobile": True}
-    driver = page("terrain=moor")
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", override)
-    try:
-        driver = page("terrain=moor")
-        assert not driver.find_element("id", "times").is_displayed()
-        covered = driver.find_element("id", "panel").size
-        assert covered["width"] * covered["height"] < 0.05 * 390 * 760
-        summary = driver.find_element("css selector", "#panel > summary")
-        driver.execute_script("arguments[0].focus()", summary)
-        summary.send_keys(Keys.ENTER)
-        assert driver.find_element("id", "times").is_displayed()
-        panel = driver.find_element("id", "panel").rect
-        assert panel["x"] + panel["width"] <= 390
-        assert panel["y"] + panel["height"] <= 760
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
-        summary.click()
-        assert not driver.find_element("id", "times").is_displayed()
-    finally:
-        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 def test_a_terrain_across_180_degrees_is_drawn_on_both_sides(page):

@@ -1,6 +1,5 @@
 """Compression on a dask cluster of processes, one of them killed."""
 
-import logging
 import os
 import signal
 
@@ -9,7 +8,6 @@ from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
-from terrainwave.errors import ClusterError
 from terrainwave.ext import distributed as ext_distributed
 from terrainwave.write.compress import compress
 
@@ -77,12 +75,6 @@ def test_the_command_takes_the_address_of_a_scheduler(client, cluster, raster, t
     assert (tmp_path / "dem.twz").read_bytes() == (tmp_path / "here.twz").read_bytes()
 
 
-def test_workers_of_another_version_are_refused(client, monkeypatch):
-    monkeypatch.setattr(ext_distributed, "__version__", "99.0")
-    with pytest.raises(ClusterError, match=r"expected 99\.0: install the same version"):
-        ext_distributed.check_workers(client)
-
-
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense"])
 def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch, raster, tmp_path, address):
     monkeypatch.setattr(ext_distributed, "_TIMEOUT", 0.5)
@@ -91,24 +83,3 @@ def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch, raster, tmp_p
     assert result.exit_code == 1
     assert result.stderr.startswith(f"terrainwave: no dask scheduler answers at {address}")
     assert result.stderr.count("\n") == 1
-
-
-def test_results_on_their_way_when_a_client_is_closed_are_no_tracebacks(
-    cluster, caplog, monkeypatch
-):
-    class CommClosedError(OSError):
-        """Has the name of dask's error."""
-
-    log = logging.getLogger("tornado.application")
-
-    def close(_client):
-        for error in (CommClosedError("in <TCP>: Stream is closed"), ValueError("another fault")):
-            log.error("Exception in callback", exc_info=error)
-
-    with ext_distributed.connected(cluster.scheduler_address) as client:
-        closed = type(client).close
-        monkeypatch.setattr(type(client), "close", close)
-    log.error("Exception in callback", exc_info=CommClosedError("of another client"))
-    closed(client)
-    told = [record.exc_info[1] for record in caplog.records if record.name == log.name]
-    assert [str(error) for error in told] == ["another fault", "of another client"]

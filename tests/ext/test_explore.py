@@ -1,18 +1,11 @@
 """The kernel's half of the map in notebooks: questions, limits, windows, cameras."""
 
-import gzip
 import re
-import sys
 import threading
-import tomllib
-from fnmatch import fnmatch
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-import traitlets
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import static_server
 from rasterio.warp import transform
 from strategies import terrain_like
@@ -20,13 +13,9 @@ from strategies import terrain_like
 import terrainwave
 from terrainwave.ext.notebook import channel as protocol
 from terrainwave.ext.notebook.channel import MOST_BYTES, MOST_RANGES, MOST_WAITING, Answer, Channel
-from terrainwave.ext.notebook.drawn import outline, region_of_box
-from terrainwave.ext.notebook.page_files import page_files, page_version
-from terrainwave.ext.publish import publish_site, reader_directory
+from terrainwave.ext.notebook.drawn import region_of_box
 from terrainwave.globe.lonlat import Globe
 
-ROOT = Path(__file__).parents[2]
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 PATIENCE = 30
 
 
@@ -113,11 +102,6 @@ def test_ranges_come_as_buffers_in_the_order_asked(page):
     assert buffers == [source.data[start:end] for start, end in ranges]
 
 
-def test_a_question_is_said_to_be_taken_before_it_is_answered(page):
-    page.ask(channel_of(Source(b"abc"), page).take, "ranges", ranges=[[0, 3]])
-    assert [content for content, _ in page.sent] == [{"id": "1", "taken": True}, {"id": "1"}]
-
-
 def test_a_slow_source_does_not_hold_up_the_kernel(page, gate):
     class Slow(Source):
         def read_many(self, spans):
@@ -129,21 +113,6 @@ def test_a_slow_source_does_not_hold_up_the_kernel(page, gate):
     assert page.sent == [({"id": "1", "taken": True}, [])]
     gate.set()
     assert page.answer("1")[1] == [b"a"]
-
-
-HOSTILE = [
-    None, 5, "ranges", [], [["id", "1"]], {}, {"what": "ranges"}, {"id": 1, "what": "ranges"},
-    {"id": "", "what": "ranges"}, {"id": "x" * 81, "what": "ranges"}, {"id": ["1"], "what": "x"},
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("message", HOSTILE, ids=repr)
-def test_a_message_without_an_id_is_refused(page, message):
-    channel_of(Source(b"abc"), page).take(message)
-    ((content, buffers),) = page.sent
-    assert content["id"] is None
-    assert content["error"]["message"] == "found a message without an id, expected one"
-    assert buffers == []
 
 
 @pytest.mark.parametrize("what", [None, 3, "", "rm", ["ranges"], {"ranges": 1}, "__class__"])
@@ -187,14 +156,6 @@ def test_more_than_a_message_may_ask_is_refused_and_nothing_read(page, ranges, l
     assert source.asked == []
 
 
-def test_so_much_as_a_message_may_ask_comes(page):
-    source = Source(bytes(MOST_BYTES))
-    edges = np.linspace(0, MOST_BYTES, MOST_RANGES + 1).astype(int).tolist()
-    ranges = [list(pair) for pair in pairwise(edges)]
-    _, buffers = page.ask(channel_of(source, page).take, "ranges", ranges=ranges)
-    assert sum(map(len, buffers)) == MOST_BYTES
-
-
 def test_questions_without_end_are_refused_until_others_are_answered(page, gate):
     channel = Channel(page.send, {"wait": lambda _: gate.wait(PATIENCE) and Answer({}, [])}, {})
     for number in range(MOST_WAITING):
@@ -205,27 +166,6 @@ def test_questions_without_end_are_refused_until_others_are_answered(page, gate)
     for number in range(MOST_WAITING):
         assert page.answer(str(number))[0] == {"id": str(number)}
     assert page.ask(channel.take, "wait", "again")[0] == {"id": "again"}
-
-
-@pytest.mark.parametrize("error", [OSError("gone\x1b[31m\naway"), KeyError(), ZeroDivisionError()])
-def test_whatever_fails_is_said_in_one_line(page, error):
-    def fail(_):
-        raise error
-
-    for kinds in (({"x": fail}, {}), ({}, {"x": fail})):
-        content, _ = page.ask(Channel(page.send, *kinds).take, "x")
-        assert content["error"]["name"] == type(error).__name__
-        assert content["error"]["message"] in ("gone[31m away", "KeyError", "ZeroDivisionError")
-        page.sent.clear()
-
-
-def test_the_page_and_the_kernel_have_the_same_limits():
-    text = (ROOT / "js" / "notebook" / "widget.js").read_text()
-    told = dict(re.findall(r"const (MOST_\w+) = ([\d< ]+);", text))
-    assert told["MOST_BYTES"] == "1 << 23"
-    assert MOST_BYTES == 1 << 23
-    assert int(told["MOST_RANGES"]) == MOST_RANGES
-    assert 16 * int(told["MOST_WAITING"]) <= MOST_WAITING  # so many views of one map
 
 
 # Sources
@@ -252,13 +192,6 @@ def test_bytes_of_servers_and_private_stores_come_too(twz, page):
     memory.rm("/explored.twz")
 
 
-def test_a_closed_terrain_is_said(twz, page):
-    with terrainwave.open(twz) as terrain:
-        take = explored(terrain, page)._channel.take
-    content, _ = page.ask(take, "ranges", ranges=[[0, 100]])
-    assert content["error"] == {"name": "StorageError", "message": f"{twz} is closed"}
-
-
 def test_what_the_page_is_told_names_no_path(terrain, twz, page):
     told, _ = page.ask(explored(terrain, page)._channel.take, "terrain")
     assert str(twz.parent) not in repr(told)
@@ -267,58 +200,7 @@ def test_what_the_page_is_told_names_no_path(terrain, twz, page):
     assert "rows" in told["terrain"]["placed"]
 
 
-def test_heights_below_mapbox_tiles_get_the_other_encoding(tmp_path, page):
-    deep = write_twz(tmp_path, hills(40, 40) - 11000, BOUNDS, name="deep")
-    with terrainwave.open(deep) as terrain:
-        told, _ = page.ask(explored(terrain, page)._channel.take, "terrain")
-    assert told["terrain"]["encoding"] == "terrarium"
-
-
-def test_closing_the_map_leaves_the_terrain_open(terrain):
-    terrain.explore().close()
-    assert terrain.read((0, 0, 2, 3)).shape == (2, 3)
-
-
 # The page
-
-
-def test_the_page_has_the_files_of_a_published_folder(twz, tmp_path):
-    publish_site([str(twz)], tmp_path / "site")
-    published = {
-        path.relative_to(tmp_path / "site").as_posix(): path
-        for path in (tmp_path / "site").rglob("*")
-        if path.suffix in (".html", ".css", ".js")
-    }
-    assert published.keys() == page_files().keys()
-    other = {
-        name
-        for name, packed in page_files().items()
-        if gzip.decompress(packed) != published[name].read_bytes()
-    }
-    # A published folder's page asks for its modules at once.
-    assert other == {"static/host.js", "index.html"}
-
-
-def test_the_page_comes_whole_by_one_answer(terrain, page):
-    widget = explored(terrain, page)
-    content, buffers = page.ask(widget._channel.take, "page")
-    assert dict(zip(content["names"], buffers, strict=True)) == page_files()
-    assert widget._page == page_version()
-
-
-def test_the_wheel_has_every_file_of_the_map():
-    wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
-    wheel = wheel["targets"]["wheel"]
-    static = ROOT / "src" / "terrainwave" / "ext" / "serve" / "static"
-    reader = ROOT / "js"
-    assert reader_directory() == reader
-    # The folders that an installed package is searched in: `reader_directory`.
-    assert wheel["sources"]["js"] == "terrainwave/ext/serve/reader"
-    needed = [*static.rglob("*.*"), *(reader / "notebook").iterdir()]
-    needed += [path for name in ("src", "map") for path in (reader / name).iterdir()]
-    for path in needed:
-        name = path.relative_to(ROOT).as_posix()
-        assert any(fnmatch(name, f"{included}*") for included in wheel["only-include"]), name
 
 
 # Windows
@@ -337,15 +219,6 @@ def test_a_box_becomes_the_samples_whose_pixels_it_touches(terrain):
         west, south, east, north = box
         asked = (west, south, max(east, west + 1e-6), max(north, south + 1e-6))
         assert region_at(terrain, box) == terrain.region(bounds=asked)
-
-
-def test_a_box_is_clipped_to_the_raster_and_its_longitudes_may_count_turns(terrain):
-    whole = (0, 0, *terrain.shape)
-    assert region_at(terrain, (7, 40, 9, 50)) == whole
-    assert region_at(terrain, (-180, -90, 180, 90)) == whole
-    assert region_at(terrain, (367, 40, 369, 50)) == whole
-    east = region_at(terrain, (8.25, 46.0, 20, 46.4))
-    assert east == (0, 40, 60, 41)
 
 
 @pytest.mark.parametrize(
@@ -418,20 +291,6 @@ def test_a_drawn_window_is_what_read_takes(terrain, page):
     assert widget.window is None
 
 
-def test_a_window_of_python_is_shown_by_its_pixels_border(terrain):
-    widget = terrain.explore()
-    widget.window = (slice(10, 20), slice(-5, None))
-    assert widget.window == (10, 76, 10, 5)
-    shown = np.array(widget._window["outline"])
-    across, _, west, _, down, north = terrain.transform[:6]
-    left, top, right, bottom = west + 76 * across, north + 10 * down, 8.5, north + 20 * down
-    assert shown[0] == pytest.approx(shown[-1])
-    assert shown.min(axis=0) == pytest.approx((left, bottom), abs=1e-6)
-    assert shown.max(axis=0) == pytest.approx((right, top), abs=1e-6)
-    widget.window = None
-    assert widget._window is None
-
-
 @pytest.mark.parametrize("window", [5, "all", (1, 2, 3), (0, 0, 0, 4), (100, 0, 3, 3)])
 def test_a_wrong_window_is_refused_and_the_old_one_stays(terrain, window):
     widget = terrain.explore()
@@ -439,13 +298,6 @@ def test_a_wrong_window_is_refused_and_the_old_one_stays(terrain, window):
     with pytest.raises(terrainwave.InvalidArgumentError, match="window"):
         widget.window = window
     assert widget.window == (1, 2, 3, 4)
-
-
-def test_an_outline_across_180_degrees_does_not_go_round_the_globe(tmp_path):
-    twz = write_twz(tmp_path, hills(40, 60), (179.6, -17.0, 180.2, -16.6))
-    with terrainwave.open(twz) as terrain:
-        lon = [place[0] for place in outline(Globe(terrain), terrain.region())]
-    assert max(lon) - min(lon) == pytest.approx(0.6, abs=1e-5)
 
 
 # Cameras
@@ -463,52 +315,7 @@ def test_a_camera_is_taken_from_python_and_from_the_page(terrain):
     assert widget.camera == CAMERA
 
 
-WRONG_CAMERAS = [
-    5, "8,46", {}, {"lon": 1}, CAMERA | {"roll": 0}, CAMERA | {"zoom": "9"}, CAMERA | {"zoom": 25},
-    CAMERA | {"lat": 91}, CAMERA | {"pitch": -1}, CAMERA | {"bearing": float("nan")},
-    CAMERA | {"lon": True}, CAMERA | {"lon": None},
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("camera", WRONG_CAMERAS, ids=repr)
-def test_a_wrong_camera_is_refused_and_the_old_one_stays(terrain, camera):
-    widget = terrain.explore(camera=CAMERA)
-    with pytest.raises(terrainwave.InvalidArgumentError, match="expected"):
-        widget.camera = camera
-    assert widget.camera == CAMERA
-    with pytest.raises(traitlets.TraitError):
-        widget.set_state({"camera": camera})
-    assert widget.camera == CAMERA
-    with pytest.raises(terrainwave.InvalidArgumentError, match="expected"):
-        terrain.explore(camera=camera)
-
-
-def test_the_page_cannot_set_what_is_not_its_own(terrain):
-    widget = terrain.explore()
-    widget.set_state({"window": [0, 0, 1, 1], "terrain": None, "_channel": None})
-    assert widget.window is None
-    assert widget.terrain is terrain
-
-
 # What it needs, and what is shown without
-
-
-@pytest.mark.parametrize(
-    "options", [{"height": 5}, {"height": "tall"}, {"radius": 0}, {"height": True}, {"radius": "1"}]
-)
-def test_wrong_options_are_refused(terrain, options):
-    with pytest.raises(terrainwave.InvalidArgumentError, match=f"found {next(iter(options))} "):
-        terrain.explore(**options)
-
-
-@pytest.mark.parametrize("package", ["anywidget", "pyproj"])
-def test_a_missing_package_is_one_line_with_the_extra(terrain, monkeypatch, package):
-    monkeypatch.setitem(sys.modules, package, None)
-    for name in [name for name in sys.modules if name.startswith("terrainwave.ext.notebook")]:
-        monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(terrainwave.TerrainwaveError) as caught:
-        terrain.explore()
-    assert str(caught.value) == f'explore needs {package}: pip install "terrainwave[notebook]"'
 
 
 def test_a_raster_without_a_place_is_refused_with_what_shows_it():
@@ -523,24 +330,24 @@ def test_a_raster_without_a_place_is_refused_with_what_shows_it():
     )
 
 
-def test_degrees_without_a_crs_are_on_the_earth_with_a_note(tmp_path):
-    twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
-    with terrainwave.open(twz) as terrain:
-        with pytest.warns(terrainwave.TerrainwaveWarning, match="fit degrees on the Earth"):
-            widget = terrain.explore()
-        assert widget._globe.extent == pytest.approx(BOUNDS)
-
-
-def test_a_projection_that_polynomials_cannot_tell_is_refused(tmp_path):
-    twz = write_twz(tmp_path, hills(40, 90), (-18e6, -8e6, 18e6, 8e6), "ESRI:54052")
-    with terrainwave.open(twz) as terrain:
-        with pytest.raises(terrainwave.InvalidHeightsError, match=r"not smooth enough.*view"):
-            terrain.explore()
-
-
 def test_without_widgets_there_is_the_picture(terrain):
     widget = terrain.explore()
     data, _ = widget._repr_mimebundle_()
     assert data["application/vnd.jupyter.widget-view+json"]["model_id"] == widget.model_id
     assert data["text/html"] == terrain._repr_html_()
     assert data["text/plain"] == f"<Explorer of {terrain!r}>"
+
+
+HOSTILE = [
+    None, 5, "ranges", [], [["id", "1"]], {}, {"what": "ranges"}, {"id": 1, "what": "ranges"},
+    {"id": "", "what": "ranges"}, {"id": "x" * 81, "what": "ranges"}, {"id": ["1"], "what": "x"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("message", HOSTILE, ids=repr)
+def test_a_message_without_an_id_is_refused(page, message):
+    channel_of(Source(b"abc"), page).take(message)
+    ((content, buffers),) = page.sent
+    assert content["id"] is None
+    assert content["error"]["message"] == "found a message without an id, expected one"
+    assert buffers == []

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from ext.browser import chromium, served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 from golden_files import GOLDEN, digests
@@ -20,7 +20,6 @@ from benchmarks.slow_server import SlowServer
 from terrainwave.grid.quadtree import Block
 
 JS = Path(__file__).parents[2] / "js"
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 pytestmark = pytest.mark.full
 

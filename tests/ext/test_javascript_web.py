@@ -1,6 +1,5 @@
 """Is the package for JavaScript usable as web developers use one: bundlers, hosts, policies?"""
 
-import contextlib
 import json
 import os
 import re
@@ -10,8 +9,8 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from ext.browser import chromium, wait_until
-from ext.rasters import hills, write_twz
+from ext.browser import wait_until
+from ext.rasters import BOUNDS, hills, write_twz
 from ext.static_server import KNOWN, static_server
 
 import terrainwave
@@ -20,7 +19,6 @@ from terrainwave.ext.publish import publish_site
 HERE = Path(__file__).parent
 JS = HERE.parents[1] / "js"
 BINARIES = HERE / "node_modules" / ".bin"
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 pytestmark = pytest.mark.full
 
@@ -57,13 +55,6 @@ def twz(tmp_path_factory):
 def heights(twz):
     with terrainwave.open(twz) as terrain:
         return terrain.read().ravel().tolist()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        driver.set_script_timeout(120)
-        yield driver
 
 
 @pytest.fixture
@@ -217,25 +208,6 @@ def test_a_policy_that_forbids_workers_leaves_the_page(site, browser, twz, heigh
     assert len(found["warned"]) == 1
 
 
-@pytest.mark.parametrize("is_exposed", [False, True])
-def test_a_host_that_hides_content_range_is_told_what_to_send(
-    site, browser, twz, heights, is_exposed
-):
-    sent = {"Access-Control-Allow-Origin": "*", "Access-Control-Allow-Headers": "Range"}
-    if is_exposed:
-        sent["Access-Control-Expose-Headers"] = "Content-Range"
-    with contextlib.ExitStack() as stack:
-        page = stack.enter_context(static_server(site))
-        other = stack.enter_context(static_server(twz.parent, headers=sent))
-        browser.get(f"{page.address}/index.html")
-        found = browser.execute_async_script(READ, f"{other.address}/{twz.name}")
-    if is_exposed:
-        assert found["heights"] == heights
-    else:
-        assert found.startswith("SourceError")
-        assert "Access-Control-Expose-Headers: Content-Range" in found
-
-
 # Maps
 
 README = (JS / "README.md").read_text()
@@ -274,7 +246,7 @@ def map_program(bundler, major):
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("bundler", "major"),
-    [("vite", 6), ("vite", 5), ("webpack", 6), ("esbuild", 6), ("rollup", 6), ("esbuild iife", 5)],
+    [("vite", 6), ("vite", 5), ("esbuild", 6), ("rollup", 6), ("esbuild iife", 5)],
 )
 def test_a_bundled_map_draws_the_terrain(project, browser, twz, bundler, major):
     release = HERE / "node_modules" / ("maplibre-gl" if major == 6 else "maplibre-gl-5")
@@ -298,41 +270,3 @@ def test_a_bundled_map_draws_the_terrain(project, browser, twz, bundler, major):
             height = terrain.sample([(8.25, 46.2)])[0]
         asked = f"globalThis.map?.queryTerrainElevation?.([8.25, 46.2]) - {height}"
         wait_until(browser, f"Math.abs({asked}) < 80")
-
-
-def test_two_terrains_of_one_name_are_two(browser, tmp_path):
-    """Of two folders, by one protocol and one worker."""
-    for folder, rise in (("one", 0), ("other", 500)):
-        (tmp_path / folder).mkdir()
-        twz = write_twz(tmp_path / folder, hills(60, 70) + rise, BOUNDS, max_error=0, name="dem")
-        publish_site([str(twz)], tmp_path / folder / "site")
-    script = """
-        const done = arguments[0];
-        (async () => {
-          const { TileMaker, addTerrains, demSource, publishedTerrains } =
-            await import("/one/site/terrainwave/map/maplibre.js");
-          let load;
-          const maplibre = { addProtocol: (_, protocol) => { load = protocol; } };
-          const maker = new TileMaker();
-          const heights = [];
-          const listed = [];
-          for (const folder of ["one", "other"]) {
-            const terrains = await publishedTerrains(`/${folder}/site/terrains.json`);
-            addTerrains(maplibre, terrains, maker);
-            listed.push(terrains[0]);
-          }
-          for (const terrain of listed) {
-            const url = demSource(terrain).tiles[0].replace("{z}/{x}/{y}", "9/267/181");
-            const { data } = await load({ url }, {});
-            const canvas = new OffscreenCanvas(256, 256).getContext("2d");
-            canvas.drawImage(data, 0, 0);
-            const [r, g, b] = canvas.getImageData(128, 128, 1, 1).data;
-            heights.push((r * 65536 + g * 256 + b) / 10 - 10000);
-          }
-          return heights;
-        })().then(done, (error) => done(String(error)));
-    """
-    with static_server(tmp_path) as server:
-        browser.get(f"{server.address}/one/site/static/page.css")
-        one, other = browser.execute_async_script(script)
-    assert other - one == pytest.approx(500, abs=0.11)

@@ -8,20 +8,12 @@ import numpy as np
 import pytest
 from ext.browser import PATIENCE, chromium, screenshot, wait_until
 from ext.jupyter import Notebook, jupyter_lab, set_up
-from ext.rasters import hills, write_raster, write_twz
-from ext.static_server import static_server
+from ext.rasters import BOUNDS, hills, write_raster, write_twz
 from selenium.webdriver import ActionChains
 
 import terrainwave
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 SHOWN = "document.body.dataset.state === 'complete'"
-NOTE = "document.querySelector('.terrainwave-note')"
-# A cell that runs until it is told to end.
-WAITING = """import os, time
-while not os.path.exists("go"):
-    time.sleep(0.1)
-os.remove("go")"""
 
 pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
 
@@ -179,69 +171,3 @@ def test_what_is_seen_and_drawn_comes_back(lab, folder):
     own = (lab.address, "blob:", "data:", "twz:")
     assert [name for name in asked if not name.startswith(own)] == []
     assert not severe(driver)
-
-
-@pytest.mark.parametrize("subshells", [False, True])
-def test_a_map_waits_for_a_busy_kernel_and_says_so(lab, folder, subshells):
-    with static_server(folder) as server:
-        first = first_cell(f"{server.address}/large.twz", "height=400")
-        notebook = lab(f"busy-{subshells}", first, WAITING, subshells=subshells)
-        driver = notebook.driver
-        notebook.run(0)
-        notebook.frame()
-        wait_until(driver, SHOWN)
-        notebook.top()
-        wait_until(driver, f"{NOTE}.hidden")
-        n_asked = len(server.asked)
-        (folder / "go").unlink(missing_ok=True)
-        notebook.start(1)
-        notebook.frame()
-        driver.execute_script("terrainMap.jumpTo({ center: [12.1, 46.05], zoom: 14 })")
-        if not subshells:
-            notebook.top()
-            wait_until(driver, f"!{NOTE}.hidden")
-            note = driver.find_element("css selector", ".terrainwave-note").text
-            assert note == "The kernel is busy: the map waits, and goes on by itself."
-            assert len(server.asked) == n_asked
-            (folder / "go").touch()
-        eventually(lambda: len(server.asked) > n_asked)
-        notebook.frame()
-        wait_until(driver, SHOWN)
-        notebook.top()
-        wait_until(driver, f"{NOTE}.hidden")
-        (folder / "go").touch()  # if the cell runs still
-        eventually(notebook.is_idle)
-        assert not severe(driver)
-
-
-def test_a_map_whose_own_cell_is_still_running_comes_afterwards(lab, folder):
-    code = first_cell("hills.twz").removesuffix("widget")
-    notebook = lab("own", f"{code}display(widget)\n{WAITING}")
-    (folder / "go").unlink(missing_ok=True)
-    notebook.start(0)
-    text = wait_until(notebook.driver, f"{NOTE} && !{NOTE}.hidden && {NOTE}.textContent")
-    assert text.startswith("The kernel is busy, or there is none: the map waits")
-    (folder / "go").touch()
-    notebook.frame()
-    wait_until(notebook.driver, SHOWN)
-    notebook.top()
-    wait_until(notebook.driver, f"{NOTE}.hidden")
-
-
-def test_what_ends_is_said(lab):
-    notebook = lab("ends", first_cell("large.twz"), "terrain.close()")
-    driver = notebook.driver
-    notebook.run(0)
-    notebook.frame()
-    wait_until(driver, SHOWN)
-    notebook.top()
-    notebook.run(1)
-    notebook.frame()
-    driver.execute_script("terrainMap.jumpTo({ center: [12.1, 46.05], zoom: 14 })")
-    wait_until(driver, "document.body.dataset.state === 'failed'")
-    assert "large.twz is closed" in driver.find_element("id", "message").text
-    notebook.top()
-    notebook.restart()
-    wait_until(driver, f"!{NOTE}.hidden")
-    text = driver.find_element("css selector", ".terrainwave-note").text
-    assert text == "The kernel of this map has ended: run the cell again."

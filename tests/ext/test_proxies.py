@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import socket
 import subprocess
 import urllib.request
 from pathlib import Path
@@ -10,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.jupyter import free_port
 
 import terrainwave
 from terrainwave.ext.serve.app import make_app
 
 pytestmark = pytest.mark.full
 ROOT = Path(__file__).parents[2]
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 
 def settings_of(language):
@@ -33,11 +31,6 @@ def program(name, place):
         if (root / place).exists():
             return root / place
     pytest.skip(f"{name} is missing: run make system-{name}")
-
-
-def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return listener.getsockname()[1]
 
 
 @contextlib.contextmanager
@@ -83,11 +76,6 @@ def caddy(folder, settings):
             yield address
         finally:
             server.terminate()
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 def get(address, **headers):

@@ -7,32 +7,24 @@ import math
 import os
 import re
 import shutil
-import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from crs_texts import sphere
-from ext.browser import chromium, console, screenshot, wait_until
-from ext.rasters import hills, write_raster, write_twz
+from ext.browser import console, screenshot, wait_until
+from ext.rasters import BOUNDS, hills, write_raster, write_twz
 from ext.static_server import static_server
 from ext.test_javascript import node
 from PIL import Image
 from rasterio.warp import transform
-from selenium.webdriver import ActionChains
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.ext.publish import publish_site
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 RIM = 4
-
-
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
 
 
 def with_hole(heights):
@@ -55,13 +47,6 @@ def site(twz, tmp_path_factory):
 
 
 # The folder
-
-
-def test_without_pyproj_publish_asks_for_its_own_extra(twz, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    result = run("publish", twz, tmp_path / "site")
-    assert result.exit_code == 1
-    assert 'needs pyproj: pip install "terrainwave[publish]"' in result.stderr
 
 
 def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
@@ -113,30 +98,6 @@ def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, line):
     result = run("publish", tmp_path / "a.twz", tmp_path / "site")
     assert result.exit_code == 1
     assert line in result.stderr
-    assert os.listdir(tmp_path) == ["a.twz"]
-
-
-def test_degrees_without_a_crs_are_published_with_a_note(tmp_path):
-    twz = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=None)
-    result = run("publish", twz, tmp_path / "site")
-    assert result.exit_code == 0, result.output
-    assert result.stderr.count("the coordinates fit degrees on the Earth") == 1
-    (described,) = json.loads((tmp_path / "site" / "terrains.json").read_text())
-    assert described["bounds"] == pytest.approx(BOUNDS)
-
-
-@pytest.mark.parametrize("target", ["site.zip", "-", "site.pmtiles"])
-def test_only_directories_are_published(twz, tmp_path, target):
-    result = run("publish", twz, target if target == "-" else tmp_path / target)
-    assert result.exit_code == 2
-    assert "expected a directory" in result.stderr
-
-
-def test_a_file_that_is_none_is_named(twz, tmp_path):
-    (tmp_path / "a.twz").write_bytes(b"no terrain")
-    result = run("publish", twz, tmp_path / "a.twz", tmp_path / "site")
-    assert result.exit_code == 1
-    assert f"{tmp_path / 'a.twz'}: " in result.stderr
     assert os.listdir(tmp_path) == ["a.twz"]
 
 
@@ -240,16 +201,6 @@ def test_tiles_of_depths_and_radii_made_in_javascript_are_those_of_the_server(
 
 
 @pytest.mark.full
-def test_tiles_without_voids_are_known(twz, site):
-    """Of these no second surface is made to look for voids; the other has some of the hole."""
-    z = 13
-    places = [(8.4, 46.1), (8.09, 46.33)]
-    at = [f"rgb/{z}/{int(tiling.column_of(z, x))}/{int(tiling.row_of(z, y))}" for x, y in places]
-    found = json.loads(node("testing/tiles.js", site, "hills", RIM, *at))
-    assert [found[place]["isWhole"] for place in at] == [True, False]
-
-
-@pytest.mark.full
 def test_tiles_made_in_javascript_have_the_other_encoding_and_transparent_voids(tmp_path):
     twz = write_twz(tmp_path, with_hole(hills(200, 220) * 3), BOUNDS, max_error=2, nodata=-9999)
     publish_site([str(twz)], tmp_path / "site", encoding="terrarium")
@@ -301,12 +252,6 @@ def test_height_maps_state_their_errors(twz, site):
 # The page
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as driver:
-        yield driver
-
-
 def show(driver, server, state="complete", hash_=""):
     driver.get("about:blank")
     driver.execute_cdp_cmd("Network.clearBrowserCache", {})
@@ -356,42 +301,6 @@ def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
             height = terrain.sample([(x[0], y[0])])[0]
         drawn = driver.execute_script("return terrainMap.queryTerrainElevation([12.0, 46.1])")
         assert drawn == pytest.approx(height, abs=150)
-        assert not console(driver)
-
-
-@pytest.mark.full
-@pytest.mark.gl
-@pytest.mark.large
-def test_the_page_says_no_metres_where_nobody_knows_the_unit(tmp_path, browser):
-    heights = hills(120, 141) * 4
-    twz = write_twz(tmp_path, heights, BOUNDS, max_error=8, units=None)
-    publish_site([str(twz)], tmp_path / "site")
-    listed = json.loads((tmp_path / "site" / "terrains.json").read_text())
-    assert [one["units"] for one in listed] == [None]
-    with static_server(tmp_path / "site") as server:
-        driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
-        ActionChains(driver).move_to_element(driver.find_element("id", "map")).perform()
-        wait_until(driver, "document.getElementById('place').textContent.includes('(± 8)')")
-        assert "± 8 of the original" in driver.find_element("id", "about").text.replace("\n", " ")
-        ticks = driver.find_element("id", "ticks").text.split()
-        assert ticks
-        assert not any("m" in tick for tick in ticks)
-
-
-@pytest.mark.full
-@pytest.mark.gl
-@pytest.mark.large
-def test_the_page_tells_heights_of_the_file(twz, site, browser):
-    with static_server(site) as server:
-        driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
-        ActionChains(driver).move_to_element(driver.find_element("id", "map")).perform()
-        wait_until(driver, "document.getElementById('place').textContent.includes('(± 8 m)')")
-        told = driver.find_element("id", "place").text
-        latitude, longitude, height = map(
-            float, re.fullmatch(r"(\S+)° N, (\S+)° E: (\S+) m \(± 8 m\)", told).groups()
-        )
-        with terrainwave.open(twz) as terrain:
-            assert terrain.sample([(longitude, latitude)])[0] == pytest.approx(height, abs=0.2)
         assert not console(driver)
 
 

@@ -13,27 +13,23 @@ import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from commands import one_line, run, start
+from commands import start
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 from PIL import Image
 from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import minimum_filter
 
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.catalog import origin_of
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-from terrainwave.globe.tile_scheme import MAX_ZOOM
-
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 
 def client_of(*paths, host="http://127.0.0.1", **options):
@@ -71,11 +67,6 @@ def slope(tmp_path_factory):
         BOUNDS,
         max_error=0,
     )
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 @pytest.mark.parametrize("z", [9, 10, 11])
@@ -139,21 +130,6 @@ def test_tiles_of_projected_terrain_lie_where_the_raster_does(tmp_path):
     assert 12 <= z <= 14
 
 
-@pytest.mark.parametrize("left", [-180.0, 0.0])
-def test_a_global_terrain_goes_round(tmp_path, left):
-    """The last column is followed by the first; the poles have heights."""
-    turns = 2 * np.pi * (np.arange(90) + 0.5) / 90
-    heights = np.rint(100 + 50 * np.cos(turns) + np.arange(45)[:, None]).astype(np.int16)
-    path = write_twz(tmp_path, heights, (left, -90, left + 360, 90), max_error=0)
-    with terrainwave.open(path) as terrain:
-        globe = Globe(terrain)
-        assert globe.extent == (-180, -90, 180, 90)
-        for x in (0, 3):
-            for y in (0, 3):
-                tile = heights_of(tiling.rgb_tile(globe, 2, x, y).png)
-                assert tile.min() >= heights.min() - 0.1
-
-
 def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
     with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
         layer = client.get("/hills/mesh/layer.json").json()
@@ -168,30 +144,6 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert float(tile.headers["x-tile-error"]) > 0
         assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
-
-
-@pytest.mark.full
-def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
-    west, south, side = 8.0, 46.0, 33e-7  # pixels of 1 cm
-    path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)
-    with client_of(path) as client:
-        layer = client.get("/hills/mesh/layer.json").json()
-        assert layer["maxzoom"] == MAX_ZOOM > tiling.MAX_ZOOM
-        for zoom in (MAX_ZOOM - 1, MAX_ZOOM):
-            first = layer["available"][zoom][0]
-            address = f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain"
-            assert client.get(address).status_code == 200
-        beyond = client.get(f"/hills/mesh/{MAX_ZOOM + 1}/0/0.terrain")
-        assert beyond.status_code == 404
-        assert f"expected 0 … {MAX_ZOOM}" in beyond.json()["detail"]
-
-
-def test_tiles_off_the_terrain_are_empty(hilly):
-    with client_of(hilly) as client:
-        assert client.get("/hills/rgb/10/0/0.png").status_code == 204
-        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
-        far = client.get("/hills/height", params={"lon": 100, "lat": 0}).json()
-    assert far["height"] is None
 
 
 # Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
@@ -292,27 +244,6 @@ def test_another_interpolation_and_half_a_place_are_refused(hilly):
     assert unknown.status_code == 404
 
 
-def test_as_many_places_as_allowed_are_answered_in_their_order(hilly):
-    rng = np.random.default_rng(4)
-    lat, lon = rng.uniform(46.01, 46.39, 10_000), rng.uniform(8.01, 8.49, 10_000)
-    places = [{"latitude": a, "longitude": b} for a, b in zip(lat, lon, strict=True)]
-    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
-        found = client.post("/hills/height", json={"locations": places}).json()["results"]
-        expected = terrain.sample(np.stack([lon, lat], axis=1))
-    assert [result["elevation"] for result in found] == pytest.approx(expected.tolist(), abs=1e-6)
-
-
-def test_heights_go_round_a_whole_globe(tmp_path):
-    heights = (np.arange(90)[None] + 200 * np.arange(45)[:, None]).astype(np.int16)
-    path = write_twz(tmp_path, heights, (-180, -90, 180, 90), max_error=0)
-    text = "2,-180|2,180|2,-178|2,178|2,538"
-    with client_of(path) as client:
-        answer = client.get("/hills/height", params={"locations": text}).json()
-    found = [result["elevation"] - 200 * 21.5 for result in answer["results"]]
-    # The last column has 89, the first 0: half way between them 44.5.
-    assert found == pytest.approx([44.5, 44.5, 0, 89, 89])
-
-
 @pytest.mark.parametrize(
     ("path", "status"),
     [
@@ -359,15 +290,6 @@ def test_what_is_said_of_a_file_has_no_path(hilly):
     assert described["name"] == "hills"
     assert described["rows"] == 65
     assert described["error"] == 2
-
-
-def test_another_body_has_no_sea(tmp_path):
-    path = write_twz(tmp_path, hills(33, 33) - 300, BOUNDS, crs=None, max_error=2)
-    for radius, ramp in ((None, "tints"), (1737400.0, "grey")):
-        with pytest.warns(TerrainwaveWarning, match="taken for them"):
-            client = client_of(path, radius=radius)
-        with client:
-            assert client.get("/terrains.json").json()[0]["ramp"] == ramp
 
 
 def test_a_tile_that_the_client_has_is_not_sent_again(hilly):
@@ -535,11 +457,6 @@ def test_head_is_answered_as_get_without_a_body(hilly, path):
         assert head.headers.get(name) == whole.headers.get(name)
 
 
-def test_the_file_itself_has_the_media_type_of_the_format(hilly):
-    with client_of(hilly) as client:
-        assert client.get("/hills.twz").headers["content-type"] == "application/vnd.terrainwave"
-
-
 def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
     path = write_twz(tmp_path, hills(33, 33) - 10700, BOUNDS, max_error=0)
     with terrainwave.open(path) as terrain:
@@ -558,32 +475,6 @@ def turned(tmp_path_factory):
         tmp_path_factory.mktemp("turned"), heights, (300000, 7000000, 302910, 7002910),
         crs="EPSG:32633", max_error=0, nodata=-999,
     )  # fmt: skip
-
-
-def test_a_rim_goes_on_from_the_edge_and_leaves_the_rest_as_it_is(turned):
-    rim = 4
-    with terrainwave.open(turned) as terrain:
-        globe = Globe(terrain)
-        west, south, east, north = globe.extent
-        z = tiling.max_zoom(globe)
-        x, y = tile_at(z, (west + east) / 2, (south + north) / 2)
-        plain, grown = (tiling.rgb_tile(globe, z, x, y, width) for width in (0, rim))
-        lowest = globe.height_range[0]
-    before, after = heights_of(plain.png), heights_of(grown.png)
-    had = before > lowest - 0.5
-    assert had.any()
-    assert not had.all()
-    np.testing.assert_array_equal(before[had], after[had])
-    assert (plain.error, plain.terrain_error) == (grown.error, grown.terrain_error)
-    near = maximum_filter(had, 2 * rim + 1)
-    inner = slice(rim, -rim)  # beyond, the edge of another tile may be near
-    np.testing.assert_array_equal((after > lowest - 0.5)[inner, inner], near[inner, inner])
-    # No step from the edge outward is larger than those of the terrain are.
-    one = maximum_filter(had, 3) & ~had
-    one[[0, -1]] = one[:, [0, -1]] = False
-    around = maximum_filter(np.where(had, before, -1e9), 3)
-    assert (after[one] <= around[one] + 0.05).all()
-    assert (after[one] >= minimum_filter(np.where(had, before, 1e9), 3)[one] - 0.05).all()
 
 
 def test_tiles_with_a_rim_continue_each_other(turned):
@@ -631,13 +522,6 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
     assert ((shares > 0) & (shares < 255)).any()
 
 
-def test_a_tile_without_voids_is_not_painted(hilly):
-    with client_of(hilly) as client:
-        z = 14
-        x, y = tile_at(z, 8.25, 46.2)
-        assert client.get(f"/hills/voids/{z}/{x}/{y}.png?color=dbe4e8").status_code == 204
-
-
 def test_the_file_itself_is_served_with_ranges(hilly):
     data = hilly.read_bytes()
     with client_of(hilly) as client:
@@ -648,19 +532,6 @@ def test_the_file_itself_is_served_with_ranges(hilly):
     with served(make_app([str(hilly)])) as address, terrainwave.open(hilly) as terrain:
         with terrainwave.open(f"{address}/hills.twz") as remote:
             np.testing.assert_array_equal(remote.read((5, 6, 7, 8)), terrain.read((5, 6, 7, 8)))
-
-
-def test_whose_the_data_are_is_told_in_short_lines():
-    tags = {
-        "LICENSE": "public\ndomain", "TIFFTAG_COPYRIGHT": "<b>us</b>", "lic": "x" * 5000,
-        "AREA_OR_POINT": "Area", "slice": "3", "source": "",
-    }  # fmt: skip
-    found = origin_of(tags)
-    assert list(found) == ["LICENSE", "TIFFTAG_COPYRIGHT", "lic"]
-    assert "\n" not in found["LICENSE"]
-    assert found["TIFFTAG_COPYRIGHT"] == "<b>us</b>"
-    assert len(found["lic"]) == 400
-    assert len(origin_of({f"source {k}": "x" for k in range(99)})) == 8
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")
@@ -678,21 +549,6 @@ def test_ctrl_c_says_stopped(hilly):
     assert said.strip() == "stopped"
     assert "Traceback" not in complaint
     assert "target" not in complaint
-
-
-@pytest.mark.full
-@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
-def test_a_signal_says_stopped_and_nothing_of_targets(hilly):
-    server = start("serve", hilly, "--port", "0")
-    try:
-        server.stdout.readline()
-        server.send_signal(signal.SIGTERM)
-        said, complaint = server.communicate(timeout=300)
-    finally:
-        server.kill()
-    assert server.returncode == 128 + signal.SIGTERM
-    assert said.strip() == "stopped"
-    assert complaint == ""
 
 
 @pytest.mark.full
@@ -719,24 +575,12 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     assert "No such file" in answers[2]["error"]
 
 
-def test_serve_without_files_is_wrong_usage():
-    assert "FILES" in one_line(run("serve"), 2)
-
-
 # Where nobody knows the unit, nobody says metres.
 
-CRS_WITH_HEIGHTS = "EPSG:4979"  # degrees, and metres above the ellipsoid
 
-
-@pytest.mark.parametrize(
-    ("units", "crs", "said"),
-    [("m", "EPSG:4326", "m"), ("ft", "EPSG:4326", "m"), (None, "EPSG:4326", None),
-     (None, CRS_WITH_HEIGHTS, "m")],
-)  # fmt: skip
-def test_answers_name_metres_only_where_the_unit_is_known(tmp_path, units, crs, said):
-    path = write_twz(tmp_path, hills(40, 50), BOUNDS, crs=crs, units=units)
-    with client_of(path) as client:
-        assert client.get("/hills/height", params={"lon": 8.2, "lat": 46.2}).json()["units"] == said
-        assert client.get("/hills/tiles.json").json()["units"] == said
-        (layer,) = client.get("/terrains.json").json()
-    assert layer["units"] == said
+def test_tiles_off_the_terrain_are_empty(hilly):
+    with client_of(hilly) as client:
+        assert client.get("/hills/rgb/10/0/0.png").status_code == 204
+        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
+        far = client.get("/hills/height", params={"lon": 100, "lat": 0}).json()
+    assert far["height"] is None

@@ -1,33 +1,25 @@
 """`/NAME.tif` of `terrainwave serve`: what GDAL and browsers get of it."""
 
 import asyncio
-import socket
 import threading
 
 import numpy as np
 import pytest
 import rasterio
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS
 from fastapi import HTTPException
 from fastapi.testclient import TestClient
 from rasterio.windows import Window
 
 import terrainwave
-from terrainwave.cli.commands.serve import _listen
 from terrainwave.errors import CorruptStreamError
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.byte_range import Span, asked_span, is_same
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 TAG = '"abc"'
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(650, 970), BOUNDS, max_error=2)
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +56,6 @@ def test_a_range_is_that_part(client):
     assert part.content == whole.content[100_000:2_400_001]
 
 
-def test_head_tells_size_ranges_and_version(client):
-    head = client.head("/hills.tif")
-    assert head.status_code == 200
-    assert head.content == b""
-    whole = client.get("/hills.tif")
-    for name in ("content-length", "accept-ranges", "etag", "content-type"):
-        assert head.headers[name] == whole.headers[name]
-    assert head.headers["content-type"] == "image/tiff"
-    assert not head.headers["etag"].startswith("W/")
-
-
 def test_what_a_client_has_is_not_sent_again(client):
     tag = client.head("/hills.tif").headers["etag"]
     assert client.get("/hills.tif", headers={"If-None-Match": tag}).status_code == 304
@@ -85,39 +66,6 @@ def test_a_range_behind_the_end_is_refused_with_the_size(client):
     answer = client.get("/hills.tif", headers={"Range": f"bytes={size}-"})
     assert answer.status_code == 416
     assert answer.headers["content-range"] == f"bytes */{size}"
-
-
-def test_short_answers_do_not_wait_for_acknowledgements():
-    # asyncio switches Nagle's algorithm off for sockets of this protocol only.
-    with _listen("127.0.0.1", 0) as listener:
-        assert listener.proto == socket.IPPROTO_TCP
-
-
-def places_read(spans):
-    """Return the places that are read, a part each, while one client gets spans of 20 parts."""
-    places = []
-
-    def read(place, n_bytes):
-        places.append(place // PART)
-        return bytes(n_bytes)
-
-    async def get_all():
-        desk, ahead = Desk(1), Ahead(read)
-        for start, stop in spans:
-            span = Span(start * PART, stop * PART, 20 * PART, is_part=True)
-            sent = [part async for part in parts(desk, read, span, ahead)]
-            assert sum(map(len, sent)) == span.stop - span.start
-            while not desk.is_free or (ahead._task and not ahead._task.done()):
-                await asyncio.sleep(0.001)
-
-    asyncio.run(get_all())
-    return places
-
-
-def test_what_a_client_that_reads_on_will_ask_for_is_made_before():
-    assert places_read([(4, 6), (9, 11)]) == [4, 5, 9, 10]
-    assert places_read([(4, 6), (6, 8)]) == [4, 5, 6, 7, 8, 9, 10, 11]
-    assert places_read([(12, 18)]) == [12, 13, 14, 15, 16, 17, 18, 19]
 
 
 @pytest.mark.parametrize(
@@ -162,10 +110,6 @@ def test_an_answer_that_has_begun_waits_where_others_are_refused(monkeypatch):
     asyncio.run(get_all())
 
 
-def test_another_name_is_not_found(client):
-    assert client.get("/valleys.tif").status_code == 404
-
-
 @pytest.mark.parametrize(
     ("headers", "expected"),
     [
@@ -195,3 +139,30 @@ def test_another_name_is_not_found(client):
 def test_ranges_are_read_as_the_standard_says(headers, expected):
     span = asked_span(headers, 1000, TAG)
     assert span == (expected and Span(*expected[:2], 1000, expected[2]))
+
+
+def places_read(spans):
+    """Return the places that are read, a part each, while one client gets spans of 20 parts."""
+    places = []
+
+    def read(place, n_bytes):
+        places.append(place // PART)
+        return bytes(n_bytes)
+
+    async def get_all():
+        desk, ahead = Desk(1), Ahead(read)
+        for start, stop in spans:
+            span = Span(start * PART, stop * PART, 20 * PART, is_part=True)
+            sent = [part async for part in parts(desk, read, span, ahead)]
+            assert sum(map(len, sent)) == span.stop - span.start
+            while not desk.is_free or (ahead._task and not ahead._task.done()):
+                await asyncio.sleep(0.001)
+
+    asyncio.run(get_all())
+    return places
+
+
+def test_what_a_client_that_reads_on_will_ask_for_is_made_before():
+    assert places_read([(4, 6), (9, 11)]) == [4, 5, 9, 10]
+    assert places_read([(4, 6), (6, 8)]) == [4, 5, 6, 7, 8, 9, 10, 11]
+    assert places_read([(12, 18)]) == [12, 13, 14, 15, 16, 17, 18, 19]

@@ -10,7 +10,7 @@ import threading
 import pytest
 from commands import one_line, run
 from ext.browser import served
-from ext.rasters import hills, write_twz
+from ext.rasters import BOUNDS, hills, write_twz
 from fastapi.testclient import TestClient
 
 from terrainwave.errors import CorruptStreamError
@@ -19,13 +19,7 @@ from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.log import warn_once
 from terrainwave.globe import terrain_rgb as tiling
 
-BOUNDS = (8.0, 46.0, 8.5, 46.4)
 REQUEST = b"GET /terrains.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
-
-
-@pytest.fixture(scope="module")
-def hilly(tmp_path_factory):
-    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
 
 
 @pytest.fixture
@@ -228,12 +222,6 @@ def test_every_answer_says_what_a_page_may_do_with_it(client, monkeypatch, metho
     assert answer.headers["cross-origin-resource-policy"] == "same-origin"
 
 
-def test_the_page_is_not_sent_in_pieces(client):
-    pieces = ",".join(f"{k}-{k}" for k in range(0, 180, 2))
-    for path in ("/", "/static/page.js"):
-        assert client.get(path, headers={"Range": f"bytes={pieces}"}).status_code == 200
-
-
 @pytest.fixture
 def told(caplog):
     """Return a function for the lines of the log of a server that begins."""
@@ -251,45 +239,10 @@ def test_neither_a_path_nor_an_error_breaks_a_line_of_the_log(client, monkeypatc
     assert told() == ["hills: no such"]
 
 
-def test_a_damaged_place_is_one_line_for_all_requests(client, monkeypatch, told):
-    def damaged(_globe, z, *_):
-        raise CorruptStreamError(f"block {z} is damaged")
-
-    monkeypatch.setattr(tiling, "rgb_tile", damaged)
-    for path in ("0/0/0", "0/0/0", "1/0/0", "1/1/0", "1/1/1"):
-        assert client.get(f"/hills/rgb/{path}.png").status_code == 500
-    assert told() == ["hills: block 0 is damaged", "hills: block 1 is damaged"]
-
-
-def test_an_answer_that_ends_early_is_one_line_for_each_reason_without_a_traceback(told):
-    for reason in ("the file\nis damaged", "the file\nis damaged", "b", "the file is damaged"):
-        error = RuntimeError("response already started")
-        error.__cause__ = CorruptStreamError(reason)
-        info = (RuntimeError, error, None)
-        record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), info)
-        assert not client_limits._is_logged(record)
-    assert told() == ["an answer ended early: the file is damaged", "an answer ended early: b"]
-
-
 def test_a_defect_is_logged_and_what_clients_cause_is_not():
     for level, is_logged in ((logging.ERROR, True), (logging.WARNING, False)):
         record = logging.LogRecord("x", level, "x", 1, "Invalid request", (), None)
         assert client_limits._is_logged(record) == is_logged
-
-
-@pytest.mark.full
-def test_few_names_are_listed(hilly):
-    app = make_app([str(hilly)])
-    for _ in range(12):
-        app.state.shelf.add(str(hilly))
-    with TestClient(app, "http://127.0.0.1") as client:
-        detail = client.get("/none.tif").json()["detail"]
-    assert detail.endswith("hills-9, hills-10, …")
-
-
-@pytest.mark.parametrize("name", ["a b", "*x", "http://a", "a:80", ""])
-def test_what_is_no_host_name_is_wrong_usage(hilly, name):
-    assert "host name" in one_line(run("serve", hilly, "--allow-host", name, "--port", "0"), 2)
 
 
 def test_a_file_that_is_replaced_is_read_on_and_one_that_is_cut_is_a_line(tmp_path):
@@ -322,3 +275,8 @@ def test_a_file_that_takes_the_place_of_another_has_another_tag(tmp_path):
     other, status = tag_and_status(tag)
     assert other != tag
     assert status == 200
+
+
+@pytest.mark.parametrize("name", ["a b", "*x", "http://a", "a:80", ""])
+def test_what_is_no_host_name_is_wrong_usage(hilly, name):
+    assert "host name" in one_line(run("serve", hilly, "--allow-host", name, "--port", "0"), 2)

@@ -1,6 +1,5 @@
 """The xarray backend, found by its entry point, and the accessor."""
 
-import io
 import pickle
 
 import dask
@@ -12,7 +11,6 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from benchmarks.slow_server import SlowServer
 from terrainwave.ext import xarray_backend
 from terrainwave.file import TerrainFile
 
@@ -89,14 +87,6 @@ def test_any_index_gives_what_numpy_gives(terrain_file, key):
         np.testing.assert_array_equal(lazy.heights[key].values, loaded.heights.values[key])
 
 
-def test_window_is_read_backwards_too(terrain_file):
-    # xarray turns most keys round before it asks; what is left is numpy's.
-    with terrainwave.open(terrain_file) as terrain:
-        heights = xarray_backend._LazyHeights(terrain, terrain.n_levels - 1, mask_and_scale=False)
-        key = np.s_[100:30:-7, ::3]
-        np.testing.assert_array_equal(heights._read(key), terrain.read()[key])
-
-
 def test_places_that_are_no_grid_are_picked_one_by_one(terrain_file):
     with xr.open_dataset(terrain_file) as dataset:
         x = xr.DataArray([500_020.0, 502_000.0], dims="point")
@@ -127,12 +117,6 @@ def test_dask_blocks_are_the_preferred_chunks(terrain_file, monkeypatch):
     }
 
 
-def test_chunks_are_2048_on_a_side_and_whole_groups():
-    assert xarray_backend.CHUNK == 2048
-    # Groups are two blocks wide; the largest block is 1024 (compression.BLOCKS).
-    assert xarray_backend.CHUNK % (2 * 1024) == 0
-
-
 def test_dataset_travels_to_another_process(terrain_file):
     with xr.open_dataset(terrain_file) as dataset:
         copy = pickle.loads(pickle.dumps(dataset))
@@ -150,11 +134,6 @@ def test_stored_values_and_levels_can_be_asked_for(terrain_file):
         assert dataset.heights.attrs["_FillValue"] == -9999
 
 
-def test_variables_can_be_dropped(terrain_file):
-    with xr.open_dataset(terrain_file, drop_variables="spatial_ref") as dataset:
-        assert set(dataset.coords) == {"x", "y"}
-
-
 def test_levels_are_groups_with_their_own_coordinates(terrain_file):
     with xr.open_datatree(terrain_file) as tree, terrainwave.open(terrain_file) as terrain:
         assert list(tree.children) == [f"level_{level}" for level in range(terrain.n_levels)]
@@ -169,13 +148,6 @@ def test_levels_are_groups_with_their_own_coordinates(terrain_file):
             assert node.heights.rio.transform() == Affine(*terrain.transform_of(level)[:6])
             expected = terrain.read(level=level, masked=True).astype(np.float32).filled(np.nan)
             np.testing.assert_array_equal(node.heights, expected)
-
-
-def test_closing_the_tree_closes_the_file(terrain_file):
-    tree = xr.open_datatree(terrain_file)
-    tree.close()
-    with pytest.raises(terrainwave.StorageError, match="is closed"):
-        tree["level_1"].heights.load()
 
 
 def test_scale_and_offset_are_applied(tmp_path):
@@ -218,23 +190,6 @@ def test_rotated_raster_has_a_transform_and_places_of_each_sample(tmp_path):
             np.testing.assert_array_equal(dataset.yc[3:9, 4], expected.yc[3:9, 4])
 
 
-def test_bytes_and_file_objects_open(terrain_file):
-    data = terrain_file.read_bytes()
-    with xr.open_dataset(io.BytesIO(data)) as dataset:
-        assert dataset.heights.shape == (150, 90)
-
-
-def test_url_opens(terrain_file):
-    with SlowServer(terrain_file.parent, 0.0, 0) as server:
-        with xr.open_dataset(server.url("a.twz")) as remote, xr.open_dataset(terrain_file) as local:
-            np.testing.assert_array_equal(remote.heights[5:20, 30:60], local.heights[5:20, 30:60])
-
-
-def test_missing_file_is_named(tmp_path):
-    with pytest.raises(terrainwave.StorageError, match=r"gone\.twz"):
-        xr.open_dataset(tmp_path / "gone.twz")
-
-
 # The accessor.
 
 
@@ -248,24 +203,6 @@ def test_array_that_was_opened_is_written_with_its_place(terrain_file, tmp_path)
             np.testing.assert_array_equal(found.filled(0), expected.filled(0))
             for name in ("crs", "transform", "units", "area_or_point"):
                 assert getattr(copy.raster_info, name) == getattr(first.raster_info, name), name
-
-
-@pytest.mark.parametrize(
-    ("part", "transform"),
-    [
-        # By hand: 30 m pixels from (500000.1, 5000000.7).
-        (np.s_[10:70, 20:], (30.0, 0.0, 500_600.1, 0.0, -30.0, 4_999_700.7)),
-        (np.s_[::-1, :], (30.0, 0.0, 500_000.1, 0.0, 30.0, 4_995_500.7)),
-        # Every other sample: pixels of 60 m about the centres of the first.
-        (np.s_[::2, ::2], (60.0, 0.0, 499_985.1, 0.0, -60.0, 5_000_015.7)),
-        (np.s_[4:5, 7:8], (30.0, 0.0, 500_210.1, 0.0, -30.0, 4_999_880.7)),
-    ],
-)
-def test_part_of_an_array_is_written_where_it_lies(terrain_file, tmp_path, part, transform):
-    with xr.open_dataset(terrain_file) as dataset:
-        dataset.heights[part].terrainwave.to_twz(tmp_path / "b.twz", max_error=1, **QUICK)
-    with terrainwave.open(tmp_path / "b.twz") as terrain:
-        assert terrain.raster_info.transform == pytest.approx(transform, rel=0, abs=1e-9)
 
 
 def test_pixels_stay_exact_where_coordinates_are_rounded(tmp_path):
@@ -287,12 +224,6 @@ def test_dask_array_is_written_within_the_bound(tmp_path):
     array.terrainwave.to_twz(tmp_path / "a.twz", max_error=0.5, **QUICK)
     with terrainwave.open(tmp_path / "a.twz") as terrain:
         assert np.abs(terrain.read().astype(np.float64) - heights).max() <= 0.5
-
-
-def test_array_that_is_no_raster_is_refused(tmp_path):
-    array = xr.DataArray(np.zeros(5), dims="x")
-    with pytest.raises(terrainwave.InvalidHeightsError, match="expected rows and columns"):
-        array.terrainwave.to_twz(tmp_path / "a.twz", max_error=1)
 
 
 @pytest.mark.parametrize(
@@ -331,3 +262,8 @@ def test_damaged_blocks_of_a_file_without_voids_are_nan(tmp_path):
         found = terrain.to_xarray()
         assert found.dtype == "float32"
         assert 0 < np.isnan(found.values).sum() < heights.size
+
+
+def test_variables_can_be_dropped(terrain_file):
+    with xr.open_dataset(terrain_file, drop_variables="spatial_ref") as dataset:
+        assert set(dataset.coords) == {"x", "y"}

@@ -90,80 +90,12 @@ def test_pixels_lie_where_the_transform_says(xy_coords, part):
     assert any("corners of pixels" in note for note in notes) == (xy_coords == "topleft")
 
 
-def shifted(array, x, y):
-    return array.assign_coords(x=array.x + x, y=array.y + y)
-
-
-CENTRES = {
-    "averages of 2": (
-        lambda array: array.coarsen(x=2, y=2).mean(),
-        (20.0, 0.0, 500_000.0, 0.0, -20.0, 5_000_000.0),
-    ),
-    "averages of 3": (
-        lambda array: array.coarsen(x=3, y=3).mean(),
-        (30.0, 0.0, 500_000.0, 0.0, -30.0, 5_000_000.0),
-    ),
-    "every other one": (
-        lambda array: array[..., ::2, ::2],
-        (20.0, 0.0, 499_995.0, 0.0, -20.0, 5_000_005.0),
-    ),
-    "between columns": (
-        lambda array: array.interp(x=array.x.values[:-1] + 5),
-        (10.0, 0.0, 500_005.0, 0.0, -10.0, 5_000_000.0),
-    ),
-    "moved": (lambda array: shifted(array, 3, 3), (10.0, 0.0, 500_003.0, 0.0, -10.0, 5_000_003.0)),
-    "moved by half a pixel down": (
-        lambda array: shifted(array, 0, -5), (10.0, 0.0, 500_000.0, 0.0, -10.0, 4_999_995.0)
-    ),
-    "finer": (
-        lambda array: array.interp(x=500_020 + 5.0 * np.arange(9)),
-        (5.0, 0.0, 500_017.5, 0.0, -10.0, 5_000_000.0),
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("change", CENTRES)
-def test_coordinates_count_where_the_transform_is_of_other_pixels(change):
-    change, place = CENTRES[change]
-    info, notes = read(change(stacked("center")))
-    assert info.transform == pytest.approx(place, rel=0, abs=1e-6)
-    assert any("are not those of its attribute transform" in note for note in notes)
-
-
-def test_one_sample_of_an_unknown_size_is_refused():
-    with pytest.raises(InvalidHeightsError, match="has one sample along y"):
-        read(stacked("topleft")[..., 3:4, 5:6])
-
-
 def test_array_without_coordinates_has_the_place_of_its_transform():
     info, notes = read(stacked(False))
     assert (info.transform, info.crs, notes) == (PLACE, "EPSG:32632", [])
     info, notes = read(stacked(False, spec=None))
     assert (info.transform, info.crs) == (PLACE, "EPSG:32632")
     assert any("would be wrong if it was cut since" in note for note in notes)
-
-
-@pytest.mark.parametrize("write_crs", [False, True])
-def test_transform_of_another_shape_is_no_place(write_crs):
-    array = stacked(False)[..., 2:, :]
-    info, notes = read(array.rio.write_crs(32632) if write_crs else array)
-    assert info.crs is None
-    assert any("10 x 12 samples, and its attribute transform is of 12 x 12" in n for n in notes)
-
-
-@pytest.mark.parametrize(
-    "transform", ["UTM", None, 3, PLACE[:5], (0.0,) * 6, (*PLACE, 0, 0, 2), (np.nan, *PLACE[1:])]
-)
-def test_attribute_that_is_no_transform_says_nothing(transform):
-    info, notes = read(stacked("center", transform=transform))
-    assert (info.transform, notes) == (PLACE, [])
-
-
-def test_stored_transform_of_rioxarray_counts_before_the_attribute():
-    moved = Affine(10.0, 0.0, 600_000.0, 0.0, -10.0, 5_000_000.0)
-    array = stacked(False).rio.write_crs(32632).rio.write_transform(moved)
-    info, _ = read(array.assign_attrs(transform=Affine(*PLACE)))
-    assert info.transform == tuple(moved)[:6]
 
 
 # Scale and offset.
@@ -216,23 +148,6 @@ def test_heights_are_scaled_once(tmp_path, dtype, way):
         assert valid.sum() == valid.size - 1
 
 
-def test_floats_that_keep_scale_and_offset_are_named():
-    attrs = {"scale_factor": 0.1, "add_offset": 100.0}
-    array = xr.DataArray(np.full((3, 4), 250.5), dims=("y", "x"), attrs=attrs)
-    info, notes = read(array)
-    assert (info.scale, info.offset) == (1.0, 0.0)
-    assert ["not applied" in note for note in notes] == [True]
-    info, notes = read(array.astype("int16"))
-    assert (info.scale, info.offset, notes) == (0.1, 100.0, [])
-
-
-def test_valid_range_of_packed_numbers_is_scaled_with_them():
-    attrs = {"scale_factor": 0.1, "valid_range": np.array([0, 1000], "i2")}
-    heights = np.array([[-0.1, 0.0, 99.9, 100.1]])
-    with RasterSource(xr.DataArray(heights, dims=("y", "x"), attrs=attrs), warn=False) as source:
-        assert source.read(0, 0, 1, 4)[1].tolist() == [[False, True, True, False]]
-
-
 @pytest.mark.parametrize("dtype", ["int16", "float32"])
 def test_stored_values_of_a_file_are_scaled_once(tmp_path, dtype):
     terrainwave.compress(packed(tmp_path, dtype), tmp_path / "a.twz", max_error=0, **QUICK)
@@ -240,3 +155,16 @@ def test_stored_values_of_a_file_are_scaled_once(tmp_path, dtype):
         assert read(dataset.heights[1:])[0].scale == 0.1
         assert dataset.heights.terrainwave.bound() == 0
         assert read(by_hand(dataset.heights))[0].scale == 1.0
+
+
+def test_one_sample_of_an_unknown_size_is_refused():
+    with pytest.raises(InvalidHeightsError, match="has one sample along y"):
+        read(stacked("topleft")[..., 3:4, 5:6])
+
+
+@pytest.mark.parametrize("write_crs", [False, True])
+def test_transform_of_another_shape_is_no_place(write_crs):
+    array = stacked(False)[..., 2:, :]
+    info, notes = read(array.rio.write_crs(32632) if write_crs else array)
+    assert info.crs is None
+    assert any("10 x 12 samples, and its attribute transform is of 12 x 12" in n for n in notes)

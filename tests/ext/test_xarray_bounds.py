@@ -14,12 +14,6 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.errors import InvalidHeightsError
-from terrainwave.grid.quantum import HeightScan
-from terrainwave.raster_io.raster_info import RasterInfo
-from terrainwave.write.compress_options import Options
-from terrainwave.write.earlier import Earlier
-from terrainwave.write.job import settled
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
 pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")
@@ -154,18 +148,6 @@ def test_heights_that_lie_on_fixed_steps_lose_nothing_again(
     (note,) = (note for note in again.notes if "of an original" in note)
     assert ("do not move" in note) == is_still
     assert ("bound holds for it" in note) == (expected == second)
-
-
-def test_third_loss_adds_to_both(tmp_path):
-    heights = terrain_like(40, 50, "float32") * np.float32(np.pi)
-    terrainwave.compress(heights, tmp_path / "0.twz", max_error=0.5)
-    for number in (1, 2):
-        with xr.open_dataset(tmp_path / f"{number - 1}.twz") as dataset:
-            dataset.heights.terrainwave.to_twz(tmp_path / f"{number}.twz", max_error=0.25)
-    with terrainwave.open(tmp_path / "2.twz") as terrain:
-        assert np.abs(terrain.read() - heights).max() <= terrain.effective_error
-        assert terrain.effective_error <= terrain.max_error
-        assert terrain.max_error == pytest.approx(1, abs=0.05)
 
 
 def test_heights_on_no_grid_are_exact_and_say_what_was_lost_before(tmp_path):
@@ -354,18 +336,6 @@ def test_no_attribute_encoding_or_written_file_states_a_bound(
             for one in found:
                 assert not says_a_bound(one.attrs)
                 assert not says_a_bound(one.encoding)
-
-
-def test_more_than_a_bound_can_be_added_to_is_refused():
-    """A millionth of a millionth beside a metre: the file counts to 2^31."""
-    scan = HeightScan("float64")
-    heights = np.random.default_rng(1).random((20, 20)) * 1e-6
-    scan.update(heights, np.ones(heights.shape, bool))
-    options = Options(max_error=1e-12)
-    info = RasterInfo(20, 20, "float64")
-    assert settled(options, scan, info)[0].moved == 0
-    with pytest.raises(InvalidHeightsError, match="expected a larger max_error"):
-        settled(options, scan, info, Earlier(1.0, note="the heights are within 1"))
 
 
 def test_file_that_another_was_made_of_can_be_patched(lossy, tmp_path):

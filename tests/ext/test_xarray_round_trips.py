@@ -69,19 +69,6 @@ def test_file_minus_its_raster_loses_no_sample_on_any_level(tmp_path, place):
         assert not difference.any()
 
 
-def test_file_minus_its_raster_loses_no_sample_where_pixels_are_points(tmp_path):
-    heights = terrain_like(40, 50)
-    tif = write_geotiff(
-        tmp_path / "a.tif", heights, transform=Affine(*PLACES["3 arc seconds"]),
-        tags={"AREA_OR_POINT": "Point"},
-    )  # fmt: skip
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
-    with xr.open_dataset(tmp_path / "a.twz") as dataset:
-        difference = dataset.heights - opened(tif)
-        assert difference.shape == heights.shape
-        assert not difference.any()
-
-
 numbers = st.floats(1e-6, 1e4) | st.sampled_from([SECOND, 3 * SECOND, 0.1, 30.0, 1 / 3])
 
 
@@ -112,23 +99,6 @@ class FakeLevel(terrainwave.Terrain):
 
     def level_place(self, level=-1, row=0, col=0):
         return LevelPlace(0, self._shape, self._transform, (0.0, 0.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize("place", TURNED.values(), ids=TURNED)
-@pytest.mark.parametrize(
-    "key", [np.s_[:, :], np.s_[3:9, 4], np.s_[::-2, 5:1:-1], np.s_[2:2, :]], ids=str
-)
-def test_places_of_turned_rasters_are_made_as_they_are_asked_for(tmp_path, place, key):
-    tif = write_geotiff(tmp_path / "a.tif", terrain_like(20, 30), transform=Affine(*place))
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
-    expected = (
-        Affine(*place)
-        @ Affine.translation(0.5, 0.5)
-        @ tuple(np.meshgrid(np.arange(30), np.arange(20)))
-    )
-    with xr.open_dataset(tmp_path / "a.twz") as dataset:
-        for name, numbers in zip(("xc", "yc"), expected, strict=True):
-            np.testing.assert_array_equal(dataset[name][key], numbers[key])
 
 
 @pytest.mark.parametrize("key", [np.s_[4:, 7:], np.s_[::-1, ::2], np.s_[10:12, 3:30:3]], ids=str)
@@ -270,13 +240,3 @@ def test_voids_that_come_in_later_are_kept(tmp_path, write, packed):
         assert wider.heights[:, :5].isnull().all()
         with write(wider, tmp_path) as back:
             np.testing.assert_array_equal(back, wider.heights)
-
-
-def test_levels_are_written_again_with_their_voids(tmp_path):
-    tif, _ = raster(tmp_path, "int16", voids="mask", packed=False)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, block=32, **QUICK)
-    with xr.open_dataset(tmp_path / "a.twz", level=-2) as data:
-        assert data.heights.isnull().any()
-        back = geotiff(data, tmp_path)
-        np.testing.assert_array_equal(back, data.heights)
-        back.close()

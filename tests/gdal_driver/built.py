@@ -8,11 +8,13 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 OTHER_ROOT = os.environ.get("TERRAINWAVE_GDAL_ROOT", "")
-FOLDER = ROOT / "build" / "native" / f"driver-tests{OTHER_ROOT and '-'}{Path(OTHER_ROOT).name}"
+# That of `make native-deb`, which then links what is there.
+FOLDER = ROOT / "build" / "native" / (f"driver-{Path(OTHER_ROOT).name}" if OTHER_ROOT else "deb")
 PLUGIN = FOLDER / "gdal"
 # What belongs to the Python that runs the tests, whose rasterio has a GDAL of its own.
 OF_THIS_PYTHON = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "PYTHONWARNINGS"}
@@ -34,14 +36,22 @@ def inside(command, folder=None):
     return ["chroot", OTHER_ROOT, *command] if OTHER_ROOT else command
 
 
-def build():
-    """Build the driver, or what changed of it; workers take turns."""
+@contextmanager
+def turn():
+    """Wait until no other worker builds here."""
     import fcntl
 
     FOLDER.mkdir(parents=True, exist_ok=True)
     with open(FOLDER / "lock", "w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def build():
+    """Build the driver, or what changed of it."""
+    with turn():
         options = ["-DTWZ_GDAL=ON", "-DTWZ_WARNINGS_ARE_ERRORS=ON", "-DBUILD_TESTING=OFF"]
+        options += ["-DCMAKE_INSTALL_PREFIX=/usr"]
         compilers = ["-DCMAKE_C_COMPILER=clang", "-DCMAKE_CXX_COMPILER=clang++"]
         for command in (
             ["cmake", "-S", ROOT / "native", "-B", FOLDER, *options, *compilers],

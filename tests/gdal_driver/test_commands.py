@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 from gdal_driver.built import build, by_python, good
-from gdal_driver.files import centre, write_kind
+from gdal_driver.files import write_kind
 
 import terrainwave
 from benchmarks.slow_server import SlowServer
@@ -77,19 +77,6 @@ def test_overviews_are_what_small_copies_are_made_of(pair, folder):
     np.testing.assert_array_equal(heights, expected)
 
 
-def test_a_png_of_heights_has_them(pair, folder):
-    path, back = pair
-    pictures = [folder / f"{one.name}.png" for one in pair]
-    for one, picture in zip((path, back), pictures, strict=True):
-        kind = (
-            ["-ot", "UInt16", "-scale", "200", "600", "-a_nodata", "0"]
-            if "int16" in path.name
-            else []
-        )
-        good("gdal_translate", "-q", "-of", "PNG", *kind, one, picture)
-    assert_same(*pictures)
-
-
 def test_contours_are_those_of_the_geotiff(pair, folder):
     lines = []
     for path in pair:
@@ -116,15 +103,6 @@ def test_a_vrt_of_files_reads_as_one(folder):
     good("gdalbuildvrt", "-q", folder / "all.vrt", *parts)
     good("gdal_translate", "-q", folder / "all.vrt", folder / "all.tif")
     np.testing.assert_array_equal(read(folder / "all.tif")[0], heights)
-
-
-def test_gdallocationinfo_tells_the_height_of_a_place(pair):
-    path, _ = pair
-    with terrainwave.open(path) as terrain:
-        height = terrain.read((510, 511, 1, 1))[0, 0]
-        x, y = centre(terrain.transform[:6], 510, 511)
-    assert good("gdallocationinfo", "-valonly", path, "511", "510") == f"{height}\n"
-    assert good("gdallocationinfo", "-valonly", "-geoloc", path, x, y) == f"{height}\n"
 
 
 @pytest.mark.parametrize("row", [0, 900])

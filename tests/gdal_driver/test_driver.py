@@ -3,7 +3,6 @@
 import json
 import shutil
 import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from rasterio.windows import Window
 
 import terrainwave
 from benchmarks.slow_server import SlowServer
-from terrainwave.write.job import metadata_of
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
 GOLDEN = ROOT / "tests" / "golden" / "v2"
@@ -189,19 +187,6 @@ def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described
     assert json.loads(text)["crs"] == "EPSG:32632"
 
 
-def test_plain_tags_state_nothing_measured_of_the_raster_that_was_compressed(folder, monkeypatch):
-    tags = {"STATISTICS_MEAN": "1", "licence": "kept"}
-    monkeypatch.setattr(
-        "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"tags": tags}
-    )
-    heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
-    data = terrainwave.compress_to_bytes(heights, max_error=5, threads=1, verify=False)
-    (folder / "tagged.twz").write_bytes(data)
-    found = by_python(DESCRIPTION, str(folder / "tagged.twz"))
-    assert found["tags"] == {"licence": "kept"}
-    assert found["own"]["PROOF"] == "none"
-
-
 @pytest.fixture(scope="module", params=["cdf53", "cdf97", "predictive", "rapid", "store"])
 def rough(request, folder):
     """Lossless and lossy files of a method, of rough heights with voids, and those heights."""
@@ -327,26 +312,6 @@ def test_an_overview_that_an_option_names_is_that_of_the_band_and_states_no_boun
     assert own["LEVELS"].isdigit()
 
 
-def test_no_overview_is_the_full_grid(kinds):
-    told = good(
-        "gdalinfo", "-oo", "OVERVIEW_LEVEL=NONE", "-mdd", "TERRAINWAVE", kinds["int16-none"]
-    )
-    assert "Size is 2100, 700" in told
-    assert "MAX_ERROR=" in told
-
-
-@pytest.mark.parametrize("options", [["9"], ["-1"], ["half"], ["0", "LEVEL=-2"]])
-def test_an_overview_that_is_not_there_is_refused_in_one_line(kinds, options):
-    first, *others = options
-    arguments = ["-oo", f"OVERVIEW_LEVEL={first}"]
-    for other in others:
-        arguments += ["-oo", other]
-    ended = run("gdalinfo", *arguments, kinds["int16-none"])
-    assert ended.returncode == 1
-    (line,) = error_lines(ended)
-    assert f"found OVERVIEW_LEVEL {first}, expected" in line
-
-
 COPIES = """
 path, folder = asked
 half = gdal.OpenEx(path, open_options=["OVERVIEW_LEVEL=0"])
@@ -379,10 +344,6 @@ def test_no_copy_that_gdal_makes_states_the_bound(kinds, folder):
 def test_voids_are_a_nodata_value_or_a_mask_of_the_dataset(kinds, kind, flags, nodata):
     found = by_python(DESCRIPTION, str(kinds[kind]))
     assert (found["flags"], found["nodata"]) == (flags, nodata)
-
-
-def test_nan_is_the_nodata_value_where_it_marks_voids(kinds):
-    assert good("gdalinfo", kinds["float32-nan"]).count("NoData Value=nan") == 1
 
 
 WINDOWS = """
@@ -657,24 +618,6 @@ def test_a_sidecar_states_no_bound_of_a_file_that_was_replaced(measured):
     assert "survey=lidar" in told
 
 
-def test_a_sidecar_without_the_files_fingerprint_gives_no_statistics(measured):
-    sidecar = Path(f"{measured}.aux.xml")
-    text = sidecar.read_text()
-    assert text.count("FINGERPRINT") == 1
-    lines = [line for line in text.splitlines() if "FINGERPRINT" not in line]
-    sidecar.write_text("\n".join(lines).replace(">20<", ">70<"))
-    assert not kept_statistics(measured)
-    mean, counts, *_ = by_python(MEASURED, str(measured))
-    assert (round(mean), counts) == (20, [20])
-
-
-def test_statistics_go_with_a_file_that_is_copied_with_its_sidecar(measured, tmp_path):
-    copy = tmp_path / "copy.twz"
-    copy.write_bytes(measured.read_bytes())
-    shutil.copy(f"{measured}.aux.xml", f"{copy}.aux.xml")
-    assert kept_statistics(copy)
-
-
 @pytest.mark.parametrize("way", ["patch", "compress"])
 def test_statistics_after_patch_and_overwrite_are_those_of_the_new_heights(measured, way):
     heights = np.full((80, 90), 70, dtype=np.int16)
@@ -692,16 +635,6 @@ def test_statistics_after_patch_and_overwrite_are_those_of_the_new_heights(measu
     assert (band_tags, tags) == users
 
 
-def test_names_with_levels_may_hold_colons_and_be_quoted(kinds, folder):
-    path = folder / "a:b.twz"
-    shutil.copy(kinds["int16-none"], path)
-    shapes = by_python(
-        "print(json.dumps([gdal.Open(name).ReadAsArray().shape for name in asked]))",
-        [f"TWZ:{path}:-2", f'TWZ:"{path}":-2', f"twz:{path}", str(path)],
-    )
-    assert shapes == [[350, 1050], [350, 1050], [700, 2100], [700, 2100]]
-
-
 @pytest.mark.parametrize("name", ["TWZ:{}:9", "TWZ:{}:-9"])
 def test_a_level_that_does_not_exist_is_one_line_with_those_that_do(kinds, name):
     ended = run("gdalinfo", name.format(kinds["int16-none"]))
@@ -715,15 +648,6 @@ def test_a_level_that_is_no_number_is_refused(kinds, text):
     ended = run("gdalinfo", "-oo", f"LEVEL={text}", kinds["int16-none"])
     assert ended.returncode == 1
     assert f"found level {text}" in ended.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "told"), [("missing.twz", "there is no such file"), ("dem.tif", "not a .twz file")]
-)
-def test_what_is_no_file_of_ours_is_told(folder, name, told):
-    (folder / "dem.tif").write_bytes(b"II*\0" + bytes(100))
-    (line,) = error_lines(run("gdalinfo", f"TWZ:{folder / name}"))
-    assert told in line
 
 
 # ---- Names in VRT files ----
@@ -764,16 +688,6 @@ def test_a_vrt_of_a_level_works_from_any_folder_and_moves_with_its_file(moved, n
 
 
 # ---- Writing ----
-
-
-@pytest.mark.parametrize("arguments", [["-of", "TWZ"], []])
-def test_gdal_translate_to_twz_is_one_line_that_names_the_command(kinds, folder, arguments):
-    source = kinds["int16-none"].with_suffix(".tif")
-    ended = run("gdal_translate", "-q", *arguments, source, folder / "made.twz")
-    assert ended.returncode == 1
-    (line,) = ended.stderr.splitlines()
-    assert "terrainwave compress dem.tif dem.twz" in line
-    assert not (folder / "made.twz").exists()
 
 
 def test_a_file_that_is_there_survives_an_attempt_to_write_it(kinds, folder):
@@ -823,36 +737,6 @@ def test_commands_that_would_write_name_the_one_that_does(kinds, folder, command
     assert not list(folder.glob("target.twz.*"))
 
 
-def test_a_file_that_is_read_after_a_refusal_is_closed_in_silence(kinds):
-    code = """
-told = []
-gdal.PushErrorHandler(lambda kind, number, text: told.append(text))
-for _ in range(2):
-    try:
-        gdal.Open(asked, gdal.GA_Update)
-    except RuntimeError:
-        pass
-    dataset = gdal.Open(asked)
-    dataset.ReadAsArray(0, 0, 1, 1)
-    del dataset
-print(json.dumps(told))
-"""
-    told = by_python(code, str(kinds["int16-none"]))
-    assert all("opened for update" in line for line in told)
-
-
-def test_opening_for_update_is_refused_in_one_line(kinds):
-    code = """
-try:
-    gdal.Open(asked, gdal.GA_Update)
-except RuntimeError as error:
-    print(json.dumps(str(error)))
-"""
-    line = by_python(code, str(kinds["int16-none"]))
-    assert "only reads" in line
-    assert "terrainwave compress" in line
-
-
 # ---- Files that are wrong ----
 
 
@@ -898,50 +782,6 @@ def test_damaged_files_never_end_the_process(folder):
     )
     (folder / "small.twz").write_bytes(small)
     assert 0 < by_python(DAMAGE, str(folder / "small.twz")) < 600
-
-
-def of_version(version, kinds, folder):
-    data = bytearray(kinds["int16-none"].read_bytes())
-    data[8] = version
-    data[124:128] = zlib.crc32(data[:124]).to_bytes(4, "little")
-    (folder / "other.twz").write_bytes(data)
-    return folder / "other.twz"
-
-
-def test_a_file_of_a_development_build_is_to_be_made_again(kinds, folder):
-    (line,) = error_lines(run("gdalinfo", of_version(1, kinds, folder)))
-    assert line.endswith(
-        "found format version 1, expected 2: made by a development build: compress the raster again"
-    )
-
-
-def test_a_file_of_a_later_format_names_the_release_to_get(kinds, folder):
-    (line,) = error_lines(run("gdalinfo", of_version(3, kinds, folder)))
-    assert "found format version 3, expected 2, which a newer release may know; " in line
-    numbers = ".".join(terrainwave.__version__.split(".")[:3])
-    assert line.endswith(f"install a terrainwave driver for GDAL newer than {numbers}")
-
-
-@pytest.mark.parametrize("crs", ["EPSG:99999", "/vsicurl/http://127.0.0.1:9/wkt", "\x1b[31m", ""])
-def test_an_unknown_crs_is_a_warning_and_heights_are_read(folder, monkeypatch, crs):
-    monkeypatch.setattr(
-        "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"crs": crs}
-    )
-    heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
-    data = terrainwave.compress_to_bytes(heights, max_error=0, threads=1, verify=False)
-    (folder / "crs.twz").write_bytes(data)
-    code = """
-gdal.DontUseExceptions()
-told = []
-gdal.PushErrorHandler(lambda kind, number, text: told.append([kind, text]))
-dataset = gdal.Open(asked)
-print(json.dumps([told, dataset.GetProjection(), int(dataset.ReadAsArray().sum())]))
-"""
-    told, wkt, total = by_python(code, str(folder / "crs.twz"))
-    ((kind, text),) = told
-    assert (kind, wkt, total) == (2, "", int(heights.sum()))
-    assert "does not know the coordinate reference system" in text
-    assert text.isprintable()
 
 
 # ---- Other places than files ----

@@ -5,8 +5,7 @@ import re
 import subprocess
 
 import pytest
-import yaml
-from gdal_driver.built import ROOT, error_lines, good, run
+from gdal_driver.built import ROOT, error_lines, good, run, turn
 
 from terrainwave import __version__
 
@@ -35,7 +34,8 @@ def test_the_driver_is_installed_below_a_prefix_and_gdal_finds_it_there(tmp_path
 
 
 def test_the_debian_package_puts_the_driver_where_gdal_looks(tmp_path):
-    told = make("native-deb")
+    with turn():
+        told = make("native-deb")
     (name,) = re.findall(r"^dist/(libgdal-twz_.*\.deb)$", told, re.M)
     version = good("gdal-config", "--version").strip()
     ours = __version__.replace(".dev", "~dev")
@@ -61,10 +61,3 @@ def test_without_the_driver_gdal_says_that_it_does_not_know_the_file(tmp_path):
     ended = run("gdalinfo", FILE, GDAL_DRIVER_PATH=str(tmp_path))
     assert ended.returncode == 1
     assert error_lines(ended) == [] or "not recognized" in ended.stderr
-
-
-def test_ci_marks_what_nobody_has_run_as_untried():
-    jobs = yaml.safe_load((ROOT / ".github/workflows/native.yml").read_text(encoding="utf-8"))
-    for job in jobs["jobs"].values():
-        assert job["name"].endswith("(untried)")
-        assert job["continue-on-error"]

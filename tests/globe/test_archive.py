@@ -5,13 +5,12 @@ import os
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from pmtiles.reader import MmapSource, Reader, all_tiles
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.globe import archive
 from terrainwave.globe.archive import write_pmtiles
 from terrainwave.globe.lonlat import Globe
@@ -32,27 +31,12 @@ def make_twz(tmp_path, transform=UTM, crs="EPSG:32633", mask=None, side=40):
     return tmp_path / "dem.twz"
 
 
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-
-
 def read_archive(path):
     """Return {(z, x, y): bytes}, header and metadata."""
     with path.open("rb") as file:
         source = MmapSource(file)
         reader = Reader(source)
         return dict(all_tiles(source)), reader.header(), reader.metadata()
-
-
-def test_the_centre_of_an_archive_across_180_degrees_is_there(tmp_path):
-    twz, target = make_twz(tmp_path, PACIFIC, "EPSG:4326"), tmp_path / "dem.pmtiles"
-    with terrainwave.open(twz) as terrain:
-        write_pmtiles(terrain, target)
-    _, header, _ = read_archive(target)
-    # 179.6 and half of 40 columns of 0.02 degrees: 180, which is -180; 10 less half of 40 rows
-    assert abs(header["center_lon_e7"]) == pytest.approx(180e7, abs=1e3)
-    assert header["center_lat_e7"] == pytest.approx(9.6e7, abs=1)
-    assert (header["min_lon_e7"], header["max_lon_e7"]) == (-180e7, 180e7)
 
 
 @pytest.mark.parametrize(("transform", "crs"), [(UTM, "EPSG:32633"), (PACIFIC, "EPSG:4326")])
@@ -84,18 +68,6 @@ def test_tiles_lie_in_the_order_of_the_formats_curve(tmp_path):
         *_, last = write_pmtiles(terrain, tmp_path / "dem.pmtiles", min_zoom=9)
     assert last.n_tiles >= 6
     assert read_archive(tmp_path / "dem.pmtiles")[1]["clustered"]
-
-
-def test_voids_have_the_height_asked_for(tmp_path):
-    mask = np.ones((40, 40), bool)
-    mask[10:20, 10:20] = False
-    twz, target = make_twz(tmp_path, mask=mask), tmp_path / "dem.pmtiles"
-    with terrainwave.open(twz) as terrain:
-        write_pmtiles(terrain, target, min_zoom=8, max_zoom=8, void_height=-50)
-        found, *_ = read_archive(target)
-        globe = Globe(terrain)
-        assert all(found[at] == rgb_tile(globe, *at, void_height=-50).png for at in found)
-        assert any(found[at] != rgb_tile(globe, *at).png for at in found)
 
 
 def test_the_command_replaces_an_archive_only_if_told(tmp_path):

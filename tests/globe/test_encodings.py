@@ -1,7 +1,6 @@
 """Pixels of terrain-RGB tiles in each encoding, by hand, and what an encoding cannot hold."""
 
 import io
-import json
 import re
 
 import numpy as np
@@ -14,13 +13,12 @@ from PIL import Image
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.ext.publish import publish_site
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.archive import write_pmtiles
 from terrainwave.globe.lonlat import Globe
-from terrainwave.names import TILE_ENCODINGS
 
 BOUNDS = (141.0, 11.0, 141.5, 11.4)
 # Height in metres, and its pixel. By hand: mapbox (0 + 10000) / 0.1 = 100000 = 0x0186A0;
@@ -63,10 +61,6 @@ def plain(tmp_path_factory):
 
 def client_of(path, **options):
     return TestClient(make_app([str(path)], **options), "http://127.0.0.1")
-
-
-def test_the_names_of_encodings_are_those_of_the_command():
-    assert tuple(tiling.ENCODINGS) == TILE_ENCODINGS
 
 
 @pytest.mark.parametrize("encoding", PIXELS)
@@ -118,19 +112,6 @@ def test_an_archive_has_the_encoding_and_says_what_it_cannot_hold(tmp_path, tren
     assert all(pixels_of(png).shape[-1] == 4 for png in tiles.values())
 
 
-def test_heights_above_what_an_encoding_holds_are_noted(tmp_path):
-    twz = write_twz(tmp_path, np.array([[0, 40_000]] * 2, np.int32), BOUNDS, max_error=0)
-    with terrainwave.open(twz) as terrain:
-        note = tiling.note_on_range(Globe(terrain), "terrarium")
-    assert "hold none above 32767.99609 m, which is shown instead; `encoding` mapbox" in note
-
-
-def test_heights_that_fit_are_not_noted(plain):
-    with terrainwave.open(plain) as terrain:
-        globe = Globe(terrain)
-        assert [tiling.note_on_range(globe, name) for name in TILE_ENCODINGS] == [None, None]
-
-
 @pytest.mark.parametrize(("encoding", "height"), [("mapbox", -10_001), ("terrarium", 32_768)])
 def test_a_height_of_voids_that_does_not_fit_is_refused(tmp_path, plain, encoding, height):
     with (
@@ -148,16 +129,6 @@ def test_an_encoding_that_there_is_not_is_refused(tmp_path, plain):
         make_app([str(plain)], encoding="rgb")
     with pytest.raises(InvalidArgumentError, match=expected):
         publish_site([str(plain)], tmp_path / "site", encoding="rgb")
-
-
-@pytest.mark.parametrize("option", ["--encoding terrarium", "--transparent-voids"])
-def test_options_of_archives_are_refused_for_a_directory(tmp_path, plain, option):
-    done = CliRunner().invoke(main, ["tiles", str(plain), f"{tmp_path}/t", *option.split()])
-    assert done.exit_code == 2
-    assert (
-        f"found {option.split()[0]} for a directory, expected none: it is for an archive"
-        in done.stderr
-    )
 
 
 def test_a_server_has_one_encoding_and_answers_in_the_other_where_asked(trench):
@@ -187,18 +158,3 @@ def test_a_server_has_one_encoding_and_answers_in_the_other_where_asked(trench):
         empty = client.get("/trench/rgb/11/0/0.png?rim=2")
         assert pixels_of(empty.content)[..., 3].max() == 0
         assert client.get("/trench/rgb/11/0/0.png?encoding=rgb").status_code == 422
-
-
-def test_a_server_says_which_file_does_not_fit(trench):
-    with pytest.warns(TerrainwaveWarning, match="trench: heights reach from -10900"):
-        make_app([str(trench)])
-    make_app([str(trench)], encoding="terrarium")  # warnings are errors
-
-
-def test_a_published_folder_names_its_encoding(tmp_path, trench):
-    with pytest.warns(TerrainwaveWarning, match="trench: heights reach from -10900"):
-        publish_site([str(trench)], tmp_path / "a")
-    publish_site([str(trench)], tmp_path / "b", encoding="terrarium")
-    for folder, encoding in (("a", "mapbox"), ("b", "terrarium")):
-        (terrain,) = json.loads((tmp_path / folder / "terrains.json").read_text())
-        assert terrain["encoding"] == encoding

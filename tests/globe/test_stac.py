@@ -64,19 +64,6 @@ def test_an_item_says_what_the_file_is(tmp_path):
     assert item["bbox"][0] == pytest.approx(15, abs=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:the file says that its numbers are depths")
-@pytest.mark.parametrize("kind", ["height", "depth"])
-def test_an_item_says_what_its_numbers_are_unless_they_are_heights(tmp_path, kind):
-    source = write_geotiff(
-        tmp_path / "dem.tif", terrain_like(40, 60), crs="EPSG:4326",
-        transform=(0.01, 0.0, 5.0, 0.0, -0.01, 50.0),
-    )  # fmt: skip
-    terrainwave.compress(source, tmp_path / "dem.twz", max_error=2, heights_are=kind)
-    properties = item_of(tmp_path / "dem.twz")["properties"]
-    assert properties.get("terrainwave:heights_are", "height") == kind
-    assert ("terrainwave:heights_are" in properties) == (kind == "depth")
-
-
 @pytest.mark.parametrize(
     ("transform", "bbox", "kind"),
     [
@@ -99,13 +86,6 @@ def test_boxes_follow_geojson(tmp_path, transform, bbox, kind):
         lon, lat = np.array(ring).T
         assert abs(lon).max() <= 180
         assert abs(lat).max() <= 90
-
-
-def test_a_crs_without_a_code_is_wkt2(tmp_path):
-    crs = "+proj=laea +lat_0=52 +lon_0=10 +datum=WGS84"
-    item = item_of(made(tmp_path, crs, (1000.0, 0.0, 0.0, 0.0, -1000.0, 0.0)))
-    assert item["properties"]["proj:wkt2"].startswith("PROJCRS[")
-    assert "datetime" in item["properties"]
 
 
 @pytest.mark.filterwarnings("ignore:.*")
@@ -132,6 +112,13 @@ def test_voids_alone_have_no_statistics(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", np.full((9, 9), -1, "int16"), nodata=-1, **place)
     terrainwave.compress(path, tmp_path / "a.twz", max_error=0, method="store")
     assert "statistics" not in item_of(tmp_path / "a.twz")["assets"]["data"]["bands"][0]
+
+
+def test_a_crs_without_a_code_is_wkt2(tmp_path):
+    crs = "+proj=laea +lat_0=52 +lon_0=10 +datum=WGS84"
+    item = item_of(made(tmp_path, crs, (1000.0, 0.0, 0.0, 0.0, -1000.0, 0.0)))
+    assert item["properties"]["proj:wkt2"].startswith("PROJCRS[")
+    assert "datetime" in item["properties"]
 
 
 STAC = Path(__file__).parents[2] / "stac"

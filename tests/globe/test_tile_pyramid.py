@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import run
 from quantized_mesh import metadata, read_tile
 from rasterio.crs import CRS
 from rasterio.transform import Affine
@@ -12,7 +12,6 @@ from rasterio.warp import transform
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.globe.cesium import TilePyramid, layer_json, terrain_tile, write_tiles
 
@@ -195,15 +194,6 @@ def test_coarse_tiles_add_what_their_level_is_from_the_originals(tmp_path):
         assert tile.error > tile.surface_error
 
 
-def test_heights_in_feet_become_metres(tmp_path):
-    heights = np.full((8, 8), 1000, dtype=np.int16)
-    with open_terrain(tmp_path, heights, UTM, "EPSG:32633", units=("ft",)) as terrain:
-        pyramid = TilePyramid(terrain, void_height=304.8, cells=4)
-        (found,) = pyramid.available(pyramid.max_zoom)
-        points, _, _ = surface(pyramid.tile(pyramid.max_zoom, found.first_x, found.first_y))
-        np.testing.assert_allclose(points[:, 2], 304.8, atol=1 / 256)
-
-
 VOID = np.ones((24, 24), dtype=bool)
 VOID[8:16, 8:16] = False
 # Of the tile that a raster of 24 x 24 fills.
@@ -231,17 +221,6 @@ def test_voids_are_holes_and_the_globe_goes_on_around_the_raster(tmp_path):
         outside = heights_at(points, triangles, np.array([0.9 * SIZE]), np.array([0.1 * SIZE]))
         assert outside[0] == pytest.approx(beyond, abs=1)
         assert about["surfaceerror"] <= pyramid.tolerance(9)
-
-
-def test_a_tile_of_nothing_but_void_has_one_triangle_of_no_size(tmp_path):
-    heights = np.full((48, 48), 1000, dtype=np.int16)
-    mask = np.zeros((48, 48), dtype=bool)
-    mask[:4, :4] = True
-    matrix = ONE_TILE @ Affine.translation(-24, 0)
-    with open_terrain(tmp_path, heights, matrix, "EPSG:4326", mask=mask) as terrain:
-        tile = TilePyramid(terrain, cells=16).tile(9, 512, 256)
-    assert areas_in_steps(tile).tolist() == [0]
-    assert tile.error is None
 
 
 def test_tiles_beside_one_another_agree_about_a_hole(tmp_path):
@@ -353,20 +332,6 @@ def test_raster_without_a_place_has_no_tiles(tmp_path):
             terrain_tile(terrain, 0, 0, 0)
 
 
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        ({"cells": 12}, "found cells 12, expected a power of two"),
-        ({"void_height": np.inf}, "found void_height inf, expected a finite number"),
-        ({"void_height": 1e7}, "expected at most 4,000 km"),
-    ],
-)
-def test_options_out_of_range_are_refused(tmp_path, options, line):
-    with open_terrain(tmp_path, steep(8, 8), UTM, "EPSG:32633") as terrain:
-        with pytest.raises(InvalidHeightsError, match=line):
-            TilePyramid(terrain, **options)
-
-
 def tiles_listed(layer):
     """Return (zoom, x, y) of the tiles that a layer.json says are there."""
     return {
@@ -402,10 +367,6 @@ def test_layer_names_every_tile_that_is_written(tmp_path):
     assert layer["maxzoom"] == len(layer["available"]) - 1 == zooms[-1].zoom
 
 
-def run(*args):
-    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-
-
 def test_command_writes_a_directory_and_replaces_only_tiles(tmp_path):
     open_terrain(tmp_path, steep(20, 20), UTM, "EPSG:32633").close()
     twz, target = tmp_path / "dem.twz", tmp_path / "tiles"
@@ -423,14 +384,6 @@ def test_command_writes_a_directory_and_replaces_only_tiles(tmp_path):
     assert other.exit_code == 1
     assert "has no layer.json" in other.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dem.tif", "dem.twz", "tiles"]
-
-
-def test_command_refuses_a_zoom_beyond_the_samples(tmp_path):
-    open_terrain(tmp_path, steep(20, 20), UTM, "EPSG:32633").close()
-    result = run("tiles", tmp_path / "dem.twz", tmp_path / "tiles", "--max-zoom", 20)
-    assert result.exit_code == 2
-    assert "found --max-zoom 20, expected 0 … " in result.stderr
-    assert not (tmp_path / "tiles").exists()
 
 
 # The finest zoom
@@ -526,20 +479,6 @@ def test_finest_tiles_cover_their_square_once_and_agree_on_edges(tmp_path):
             assert_edges_agree(pyramid, zoom, pairs)
 
 
-def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
-    with open_terrain(tmp_path, steep(40, 40), UTM, "EPSG:32633") as terrain:
-        whole = TilePyramid(terrain).available
-        written = write_tiles(terrain, tmp_path / "t", min_zoom=4, max_zoom=6, threads=1)
-        expected = {zoom: whole(zoom) for zoom in (0, 4, 5, 6)}
-    assert [one.zoom for one in written] == [0, 4, 5, 6]
-    layer = json.loads((tmp_path / "t" / "layer.json").read_text())
-    assert (layer["minzoom"], layer["maxzoom"]) == (4, 6)
-    assert [len(tiles) for tiles in layer["available"]] == [1, 0, 0, 0, 1, 1, 1]
-    there = tiles_in(tmp_path / "t")
-    assert tiles_listed(layer) == there
-    assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)
-
-
 def test_errors_of_tiles_have_the_curvature_of_the_globe_between_their_vertices(tmp_path):
     matrix = Affine(1 / 60, 0.0, 10.0, 0.0, -1 / 60, 47.0)
     with open_terrain(tmp_path, np.zeros((65, 65), np.int16), matrix, "EPSG:4326") as terrain:
@@ -557,3 +496,31 @@ def test_errors_of_tiles_have_the_curvature_of_the_globe_between_their_vertices(
         assert about["surfaceerror"] < max(2 * pyramid._heights.edge_tolerance(zoom), 1.5 * whole)
         line = [(area.first_x, area.first_y), (area.first_x + 1, area.first_y)]
         assert_edges_agree(pyramid, zoom, [(*line, "east", "west")])
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"cells": 12}, "found cells 12, expected a power of two"),
+        ({"void_height": np.inf}, "found void_height inf, expected a finite number"),
+        ({"void_height": 1e7}, "expected at most 4,000 km"),
+    ],
+)
+def test_options_out_of_range_are_refused(tmp_path, options, line):
+    with open_terrain(tmp_path, steep(8, 8), UTM, "EPSG:32633") as terrain:
+        with pytest.raises(InvalidHeightsError, match=line):
+            TilePyramid(terrain, **options)
+
+
+def test_zooms_that_are_asked_for_are_written_and_listed(tmp_path):
+    with open_terrain(tmp_path, steep(40, 40), UTM, "EPSG:32633") as terrain:
+        whole = TilePyramid(terrain).available
+        written = write_tiles(terrain, tmp_path / "t", min_zoom=4, max_zoom=6, threads=1)
+        expected = {zoom: whole(zoom) for zoom in (0, 4, 5, 6)}
+    assert [one.zoom for one in written] == [0, 4, 5, 6]
+    layer = json.loads((tmp_path / "t" / "layer.json").read_text())
+    assert (layer["minzoom"], layer["maxzoom"]) == (4, 6)
+    assert [len(tiles) for tiles in layer["available"]] == [1, 0, 0, 0, 1, 1, 1]
+    there = tiles_in(tmp_path / "t")
+    assert tiles_listed(layer) == there
+    assert len(there) == sum(tiles.n_tiles for one in expected.values() for tiles in one)

@@ -44,14 +44,6 @@ def test_so_many_threads_work_and_the_asking_one_is_one_of_them(n_threads):
     assert threading.current_thread() in threads
 
 
-def test_one_thread_starts_no_other():
-    before = threading.active_count()
-    with Crew(1) as crew:
-        assert list(crew.map(lambda _: threading.active_count(), range(3))) == [before] * 3
-        crew.grow(lambda number: range(number), [3])
-        assert threading.active_count() == before
-
-
 @CREWS
 def test_the_first_error_in_order_is_raised_and_ends_the_work(n_threads):
     done = []
@@ -110,32 +102,6 @@ def test_a_request_that_was_raised_stops_the_other_threads():
     finally:
         interrupts.reset()
     assert len(found) == 1
-
-
-def test_tasks_may_ask_for_more():
-    with Crew(2) as crew:
-        rows = crew.map(lambda row: sum(crew.map(lambda col: row * col, range(10))), range(20))
-        assert list(rows) == [45 * row for row in range(20)]
-
-
-def test_there_is_no_timeout():
-    with Crew(2) as crew, pytest.raises(ValueError, match="timeout"):
-        crew.map(abs, [1], timeout=1.0)
-
-
-@CREWS
-def test_what_grows_is_done_once(n_threads):
-    # The nodes of a binary tree by their numbers.
-    done = []
-
-    def children(node):
-        done.append(node)
-        return [2 * node, 2 * node + 1] if node < 64 else []
-
-    with Crew(n_threads) as crew:
-        crew.grow(children, [1])
-        crew.grow(children, [])
-    assert sorted(done) == list(range(1, 128))
 
 
 def test_the_newest_is_done_first():
@@ -211,3 +177,11 @@ def test_an_interrupted_end_still_waits_for_the_threads():
     finally:
         signal.signal(signal.SIGINT, before)
     assert is_done
+
+
+def test_one_thread_starts_no_other():
+    before = threading.active_count()
+    with Crew(1) as crew:
+        assert list(crew.map(lambda _: threading.active_count(), range(3))) == [before] * 3
+        crew.grow(lambda number: range(number), [3])
+        assert threading.active_count() == before

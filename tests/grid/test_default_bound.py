@@ -30,8 +30,3 @@ def test_the_bound_follows_from_range_and_unit(span, unit, length, error, reason
     found = default_bound(Fraction(span), unit, length)
     assert found.error == Fraction(error)
     assert reason in found.reason
-
-
-@pytest.mark.parametrize(("length", "feet"), [(0.3048, 0.03280840), (1200 / 3937, 0.03280833)])
-def test_a_centimetre_is_converted_to_feet(length, feet):
-    assert float(default_bound(Fraction(500), "ft", length).error) == pytest.approx(feet, rel=1e-6)

@@ -203,17 +203,6 @@ def test_a_segment_below_the_top_one_has_at_most_85_groups(grid):
         assert len(grid.segment_groups(head)) <= 85  # 1 + 4 + 16 + 64
 
 
-def test_only_the_top_segment_may_have_fewer_than_four_levels():
-    grid = Grid(16384, 1, 256)  # k_max = 6: two levels above, four below
-    assert (grid.k_max, grid.top_levels, grid.segment_levels()) == (6, 2, [2])
-
-
-def test_blocks_are_in_morton_order():
-    grid = Grid(97, 65, 32)
-    order = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
-    assert [(b.row, b.col) for b in grid.blocks(2)] == order
-
-
 # Regions
 
 
@@ -223,21 +212,6 @@ def cells(region):
         for row in range(region.row, region.row + region.n_rows)
         for col in range(region.col, region.col + region.n_cols)
     }
-
-
-@given(regions, regions)
-def test_an_intersection_holds_the_common_samples(a, b):
-    assert cells(a.intersect(b)) == cells(a) & cells(b)
-
-
-def test_an_empty_intersection_has_no_negative_size():
-    assert Region(0, 0, 3, 3).intersect(Region(7, 1, 2, 2)).shape == (0, 2)
-
-
-def test_slices_index_an_array_that_covers_the_outer_region():
-    outer = Region(10, 20, 4, 5)
-    array = np.arange(20).reshape(4, 5)
-    assert array[Region(11, 22, 2, 3).slices_in(outer)].tolist() == [[7, 8, 9], [12, 13, 14]]
 
 
 @given(region=regions, n_rows=st.integers(1, 4), n_cols=st.integers(1, 4), is_aligned=st.booleans())
@@ -250,9 +224,3 @@ def test_tiles_cover_a_region_once_in_the_order_of_rows(region, n_rows, n_cols, 
         covered[tile.slices_in(region)] += 1
     assert (covered == 1).all()
     assert tiles == sorted(tiles)
-
-
-def test_tiles_begin_at_the_corner_or_at_multiples_of_their_size():
-    region = Region(3, 0, 4, 5)
-    assert list(region.tiles(4, 3)) == [Region(3, 0, 4, 3), Region(3, 3, 4, 2)]
-    assert list(region.tiles(4, 5, is_aligned=True)) == [Region(3, 0, 1, 5), Region(4, 0, 3, 5)]

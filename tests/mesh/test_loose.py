@@ -52,14 +52,6 @@ def test_a_loose_mesh_is_watertight_and_tells_its_error(case, kind, tmp_path_fac
             assert [problem for problem in problems if "not covered" not in problem] == []
 
 
-def test_a_loose_mesh_is_further_off(smooth):
-    with terrainwave.open(smooth) as terrain:
-        assert terrain.mesh_kind == "zerotree-layer"
-        loose, guaranteed = terrain.mesh(guarantee=False), terrain.mesh(level=-2)
-        assert loose.error > guaranteed.error
-        assert 0.9 < loose.share < 1
-
-
 @pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 1, 10])
@@ -125,20 +117,6 @@ def test_a_loose_mesh_has_no_goal_and_no_finest_level(smooth, options):
             terrain.mesh(guarantee=False, **options)
 
 
-def test_the_command_writes_a_loose_mesh_and_says_its_error(smooth, tmp_path):
-    run = CliRunner().invoke(main, ["mesh", str(smooth), str(tmp_path / "m.ply"), "--loose"])
-    assert run.exit_code == 0, run.output
-    with terrainwave.open(smooth) as terrain:
-        mesh = terrain.mesh(guarantee=False)
-    assert f"{mesh.n_triangles:,} triangles" in run.output
-    assert f"measured error {mesh.error:.6g}" in run.output
-    assert f"{mesh.share:.1%} of the samples are within the tolerance" in run.output
-    refused = ["mesh", str(smooth), str(tmp_path / "n.ply"), "--loose", "--max-error", "3"]
-    run = CliRunner().invoke(main, refused)
-    assert run.exit_code == 2
-    assert "found --max-error with --loose" in run.output
-
-
 @pytest.mark.parametrize("kind", ["zerotree-plain", "rqt"])
 def test_a_block_alone_keeps_any_tolerance(smooth, kind):
     with terrainwave.open(smooth) as terrain:
@@ -150,6 +128,22 @@ def test_a_block_alone_keeps_any_tolerance(smooth, kind):
             assert apart <= tolerance
             counts.append(len(mesh.triangles))
         assert counts[0] > counts[-1]
+
+
+def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
+    """The file's error, which the guaranteed mesh keeps, is less."""
+    n_further = 0
+    with terrainwave.open(smooth) as terrain:
+        builder = mode_class("loose")(ModeNeeds(terrain, frame_of(terrain))).builder
+        for block in terrain.grid.blocks(terrain.n_levels - 2):
+            piece, region = Piece(*block), terrain.grid.full_region(block)
+            heights = SMOOTH.heights[region.slices_in(Region(0, 0, *SMOOTH.heights.shape))]
+            apart = largest_deviation(
+                builder.mesh(piece), 2, heights.astype(np.int32), np.ones(heights.shape, bool), 0, 0
+            ) / (1 << FRACTION_BITS)  # fmt: skip
+            assert apart <= builder.build(piece).drawn_error
+            n_further += apart > terrain.mesh_error(block)
+    assert n_further > 0
 
 
 def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
@@ -170,19 +164,3 @@ def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
         assert levels[2]["n_loose"] < levels[2]["n_triangles"]
     table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
     assert f"{levels[3]['n_triangles']:,}" in table
-
-
-def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
-    """The file's error, which the guaranteed mesh keeps, is less."""
-    n_further = 0
-    with terrainwave.open(smooth) as terrain:
-        builder = mode_class("loose")(ModeNeeds(terrain, frame_of(terrain))).builder
-        for block in terrain.grid.blocks(terrain.n_levels - 2):
-            piece, region = Piece(*block), terrain.grid.full_region(block)
-            heights = SMOOTH.heights[region.slices_in(Region(0, 0, *SMOOTH.heights.shape))]
-            apart = largest_deviation(
-                builder.mesh(piece), 2, heights.astype(np.int32), np.ones(heights.shape, bool), 0, 0
-            ) / (1 << FRACTION_BITS)  # fmt: skip
-            assert apart <= builder.build(piece).drawn_error
-            n_further += apart > terrain.mesh_error(block)
-    assert n_further > 0

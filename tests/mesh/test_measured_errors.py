@@ -47,13 +47,6 @@ def test_a_tent_over_a_plain_has_its_height_as_error():
     assert measure_block(heights, 4, originals, originals >= 0, 0, 0) == 5
 
 
-def test_extreme_heights_do_not_overflow():
-    limit = 1 << 30
-    heights = np.array([[-limit, limit]], dtype=np.int32)
-    originals = np.array([[limit]], dtype=np.int32)
-    assert measure_block(heights, 1 << 15, originals, originals > 0, 0, 0) == 2 * limit
-
-
 # Codes
 
 
@@ -66,11 +59,6 @@ def test_a_code_stands_for_at_least_its_error(error):
 def test_a_code_is_the_smallest_that_does(error):
     code = encode_error(error)
     assert code == 0 or decode_error(code - 1) < error
-
-
-@given(st.integers(1, 2**31))
-def test_a_code_stands_for_at_most_an_eighth_more(error):
-    assert decode_error(encode_error(error)) <= error * 9 // 8 + 1
 
 
 boxes = st.lists(st.integers(-(2**30), 2**30), min_size=4, max_size=4).map(sorted)
@@ -272,11 +260,6 @@ def test_boxes_hold_all_decoded_heights_below_them(file):
             above = above.parent
             low, high = file.box(above)
             assert low <= heights.min() <= heights.max() <= high, (block, above)
-
-
-def test_boxes_are_smaller_than_the_files_range(file):
-    low, high = file.whole
-    assert any(file.box(block) != (low, high) for block in file.blocks if any(file.codes[block]))
 
 
 def test_blocks_without_heights_have_codes_of_zero():

@@ -4,13 +4,11 @@ import json
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import (
@@ -26,7 +24,6 @@ from mesh_cases import (
 )
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.container.spool_sink import copied_segments
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
@@ -113,8 +110,7 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
 
 @pytest.mark.large
 @pytest.mark.full
-@pytest.mark.parametrize("void", ["none", "disc", "corners"])
-@pytest.mark.parametrize("share", [1, 4])
+@pytest.mark.parametrize(("void", "share"), [("none", 1), ("disc", 4), ("corners", 1)])
 def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
     """With `share` 1 coarse blocks are taken that may then fail, and are split again."""
     levels = []
@@ -226,17 +222,6 @@ def test_an_error_below_the_files_is_refused(tmp_path):
             terrain.mesh(max_triangles=1)
 
 
-def test_the_stated_error_of_a_file_can_be_asked_for(tmp_path):
-    """As float64 it may be less than the exact one."""
-    case = make_case(
-        "steps", "none", (24, 32), 62027, dtype="float64", amplitude=5e4, scale=-2.0, offset=100.0,
-        max_error=5000.0, block=64, method="store",
-    )  # fmt: skip
-    with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        mesh = terrain.mesh(max_error=terrain.effective_error)
-        assert mesh.error <= terrain.effective_error * (1 + 1e-12)
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 70), (90, 1)])
 def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
     case = make_case("smooth", "none", shape, 1, max_error=1, block=32)
@@ -281,27 +266,6 @@ def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
 
 
 @pytest.mark.large
-def test_a_budget_that_outlines_leave_room_for_keeps_them(tmp_path):
-    shape = (100, 100)
-    case = make_case("noise", "none", shape, 1, max_error=1, block=32)
-    case.valid[20:40, 30:60] = False
-    with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        mesh = terrain.mesh(max_triangles=2000)
-        # Quads with a void, of which the four at the corners have one triangle.
-        uncovered = 21 * 31 - 4 * 0.5
-        assert covered_area(mesh) == 99 * 99 - uncovered
-        assert area_problems(terrain, case, mesh, Region(0, 0, *shape), None) == []
-        assert covered_area(terrain.mesh(max_triangles=150)) > 99 * 99 - uncovered
-
-
-def covered_area(mesh):
-    """Return the area of a mesh's triangles over the plane."""
-    a, b, c = (mesh.vertices[mesh.triangles[:, corner], :2] for corner in range(3))
-    (x_1, y_1), (x_2, y_2) = (b - a).T, (c - a).T
-    return float(np.abs(x_1 * y_2 - x_2 * y_1).sum() / 2)
-
-
-@pytest.mark.large
 def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
     """The finest mesh, which the budget has no room for, was made all the same."""
     case = make_case("noise", "none", (130, 130), 1, max_error=1, block=32)
@@ -329,30 +293,6 @@ class Inline:
 
     def map(self, function, values):
         return map(function, values)
-
-
-@pytest.mark.large
-def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
-    case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
-    with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        with pytest.raises(InvalidHeightsError, match="expected at least 5"):
-            terrain.mesh(max_triangles=10**6, max_error=1)
-
-
-@pytest.mark.few(1)
-@pytest.mark.large
-@pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
-def test_a_budget_on_a_coarse_level(kind, tmp_path):
-    """Small errors, which the level can't reach, ended the search."""
-    case = make_case(kind, "none", (100, 100), 1, max_error=5, block=32)
-    with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        for level, n_most in ((0, 2000), (1, 100), (1, 400)):
-            mesh = terrain.mesh(level=level, max_triangles=n_most)
-            assert 0 < mesh.n_triangles <= n_most
-            of_one_level = level if level == 0 else None
-            window = (0, 0, *terrain.level_shape(level))
-            region = full_region(terrain.grid, level, window)
-            assert area_problems(terrain, case, mesh, region, of_one_level) == []
 
 
 # The same everywhere
@@ -474,34 +414,41 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
 
 
-@pytest.mark.full
-@pytest.mark.large
-def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
-    case = make_case("noise", "corners", (70, 70), 2, amplitude=900.0, max_error=1, block=32)
-    path = write_case(case, tmp_path)
-    original = str(tmp_path / "case.tif")
-    good = CliRunner().invoke(main, ["verify", "--mesh", "--json", str(path), original])
-    assert good.exit_code == 0
-    report = json.loads(good.stdout)
-    assert report["mesh"]["against"] == "original"
-    assert [level["level"] for level in report["mesh"]["levels"]] == [0, 1, 2]
-    for level in report["mesh"]["levels"]:
-        assert 0 < level["measured_error"] <= level["stored_error"]
-    for area in report["mesh"]["areas"]:
-        assert area["measured_error"] <= area["stated_error"]
-    shown = CliRunner().invoke(main, ["verify", "--mesh", "--quiet", str(path)])
-    assert (shown.exit_code, shown.stdout) == (0, "")
-    less = with_mesh_code(path, tmp_path / "less.twz", Block(1, 0, 0), 1)
-    bad = CliRunner().invoke(main, ["verify", "--mesh", str(less), original])
-    assert bad.exit_code == 1
-    assert "problem: mesh of block (1, 0, 0)" in bad.stdout
-    assert "stated error" in bad.stdout
+def covered_area(mesh):
+    """Return the area of a mesh's triangles over the plane."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner], :2] for corner in range(3))
+    (x_1, y_1), (x_2, y_2) = (b - a).T, (c - a).T
+    return float(np.abs(x_1 * y_2 - x_2 * y_1).sum() / 2)
 
 
 @pytest.mark.large
-def test_meshes_may_be_asked_for_by_several_threads(tmp_path):
-    case = make_case("half sea", "none", (150, 150), 2, max_error=1, block=32)
-    with terrainwave.open(write_case(case, tmp_path), threads=2) as terrain:
-        with ThreadPoolExecutor(3) as executor:
-            meshes = list(executor.map(lambda _: terrain.mesh(max_error=30), range(4)))
-    assert all(np.array_equal(meshes[0].vertices, mesh.vertices) for mesh in meshes)
+def test_a_budget_that_outlines_leave_room_for_keeps_them(tmp_path):
+    shape = (100, 100)
+    case = make_case("noise", "none", shape, 1, max_error=1, block=32)
+    case.valid[20:40, 30:60] = False
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_triangles=2000)
+        # Quads with a void, of which the four at the corners have one triangle.
+        uncovered = 21 * 31 - 4 * 0.5
+        assert covered_area(mesh) == 99 * 99 - uncovered
+        assert area_problems(terrain, case, mesh, Region(0, 0, *shape), None) == []
+        assert covered_area(terrain.mesh(max_triangles=150)) > 99 * 99 - uncovered
+
+
+@pytest.mark.large
+def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
+    case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected at least 5"):
+            terrain.mesh(max_triangles=10**6, max_error=1)
+
+
+def test_the_stated_error_of_a_file_can_be_asked_for(tmp_path):
+    """As float64 it may be less than the exact one."""
+    case = make_case(
+        "steps", "none", (24, 32), 62027, dtype="float64", amplitude=5e4, scale=-2.0, offset=100.0,
+        max_error=5000.0, block=64, method="store",
+    )  # fmt: skip
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_error=terrain.effective_error)
+        assert mesh.error <= terrain.effective_error * (1 + 1e-12)

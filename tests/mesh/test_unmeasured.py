@@ -100,20 +100,6 @@ def test_codes_say_that_coarse_meshes_are_not_measured_and_bound_the_finest(name
     assert ("no mesh" in kinds) == (name == "voids")
 
 
-@pytest.mark.few(3)
-@pytest.mark.parametrize("name", CASES)
-def test_the_heights_of_a_file_do_not_depend_on_what_is_measured(name, tmp_path):
-    with terrainwave.open(write_case(case_of(name), tmp_path)) as terrain:
-        heights, valid = terrain.read_with_mask()
-        boxes = {b: terrain.container.codes(b)[:3] for b in coarse_blocks(terrain)}
-    with terrainwave.open(write_case(case_of(name, measure_meshes=True), tmp_path)) as terrain:
-        assert terrain.has_measured_meshes
-        found, found_valid = terrain.read_with_mask()
-        np.testing.assert_array_equal(found[valid], heights[valid])
-        np.testing.assert_array_equal(found_valid, valid)
-        assert {b: terrain.container.codes(b)[:3] for b in coarse_blocks(terrain)} == boxes
-
-
 @pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["ridges", "voids", "tiles"])
 def test_meshes_of_unmeasured_files_pass_verify(name, tmp_path):
@@ -122,15 +108,6 @@ def test_meshes_of_unmeasured_files_pass_verify(name, tmp_path):
     assert report.ok, report.problems
     for level in report.mesh.levels:
         assert 0 < level.measured_error <= level.stored_error < 1e5
-
-
-def test_a_mesh_of_a_coarse_level_states_the_bound_that_holds(tmp_path):
-    case = case_of("ridges")
-    with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        mesh = terrain.mesh(level=0)
-        (root,) = terrain.grid.blocks(0)
-        assert mesh.error == pytest.approx(terrain.mesh_error(root))
-        assert mesh.error > terrain.block_error(root)
 
 
 @pytest.mark.parametrize(

@@ -66,10 +66,6 @@ def test_coordinates_that_are_possible_are_not_named(crs, transform, shape):
     assert impossible_places(crs, transform, shape) is None
 
 
-def test_an_array_without_a_place_is_not_named():
-    assert impossible_places("EPSG:4326", (1, 0, 0, 0, 1, 0), (400, 9), is_placed=False) is None
-
-
 @pytest.fixture
 def dem(tmp_path):
     place = {"crs": "EPSG:4326", "transform": Affine(*SWAPPED)}

@@ -1,9 +1,7 @@
 """Numbers that are depths or distances from the centre: what says so, and what becomes of them."""
 
 import io
-import json
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,15 +18,10 @@ from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, Terrai
 from terrainwave.export.frames import areas, to_frame
 from terrainwave.export.mesh_files import add_skirts
 from terrainwave.export.quantized_mesh import on_globe
-from terrainwave.ext.serve.app import make_app
-from terrainwave.globe.cesium import write_tiles
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import fit_places
-from terrainwave.mesh.mesh_data import MeshData
-from terrainwave.place.ellipsoid import EARTH, Ellipsoid
+from terrainwave.place.ellipsoid import EARTH
 from terrainwave.place.meaning import Names, told_by
-from terrainwave.render.look.marks import legend_of
-from terrainwave.render.look.style import Style
 from terrainwave.render.scene.frame import frame_of
 from terrainwave.render.scene.measure import Ruler, read_profile
 from terrainwave.render.scene.scales import HeightScale
@@ -205,25 +198,6 @@ def test_depths_of_all_sources_lie_below_the_sea_and_it_is_said_once(tmp_path, s
         assert globe.height_range == (-60, -5)
 
 
-def test_a_depth_s_name_over_heights_below_the_sea_is_not_believed(tmp_path):
-    heights = -DEPTHS
-    heights[0, :5] = 3
-    path, notes = made(write_netcdf(tmp_path / "d.nc", heights=heights), tmp_path)
-    (note,) = notes
-    assert "its name: depth means depths, but most numbers are below 0" in note
-    with terrainwave.open(path) as terrain:
-        assert terrain.info().heights_are == "height"
-        assert quietly(Globe, terrain).height_range == (-60, 3)
-
-
-def test_a_depth_s_name_over_some_land_is_believed(tmp_path):
-    depths = DEPTHS.copy()
-    depths[0, :5] = -3
-    path, _ = made(write_netcdf(tmp_path / "d.nc", heights=depths), tmp_path)
-    with terrainwave.open(path) as terrain:
-        assert quietly(Globe, terrain).height_range == (-60, 3)
-
-
 def test_what_contradicts_a_downward_axis_is_not_turned(tmp_path):
     source = write(tmp_path / "d.tif", DEPTHS, crs=DOWN, band_tags={"positive": "up"})
     path, notes = made(source, tmp_path)
@@ -267,26 +241,6 @@ def test_an_unknown_word_is_refused_in_one_line(tmp_path):
     assert "'deep' is not one of 'height', 'depth', 'radius'" in done.stderr
 
 
-def test_the_commands_take_and_tell_it(tmp_path):
-    source, target = write(tmp_path / "d.tif", DEPTHS), tmp_path / "d.twz"
-    run = CliRunner().invoke
-    asked = ["compress", str(source), str(target), "--heights-are", "depth", "--max-error", "0"]
-    assert run(main, asked).exit_code == 0
-    assert "(depths: they go down)" in run(main, ["info", str(target)]).output
-    told = json.loads(run(main, ["info", str(target), "--json"]).output)
-    assert told["heights_are"] == "depth"
-
-
-def test_a_batch_makes_a_file_again_whose_numbers_meant_something_else(tmp_path):
-    source = write(tmp_path / "d.tif", DEPTHS)
-    batch = ["compress", str(source), "--to", str(tmp_path / "out"), "--skip-existing"]
-    for asked, word in (([], "compressed"), ([], "skipped"), (["depth"], "compressed"),
-                        (["depth"], "skipped")):  # fmt: skip
-        option = ["--heights-are", *asked] if asked else []
-        done = CliRunner().invoke(main, [*batch, *option, "--json"])
-        assert json.loads(done.stdout.splitlines()[0])["status"] == word, (asked, done.output)
-
-
 # Where it goes on
 
 
@@ -301,24 +255,6 @@ def test_a_geotiff_made_of_depths_is_of_depths(tmp_path):
     with terrainwave.open(again) as terrain:
         assert terrain.info().heights_are == "depth"
     assert terrainwave.verify(again, back).ok
-
-
-def test_a_geotiff_says_what_was_asked_for_against_its_tags(tmp_path):
-    source = write(tmp_path / "d.tif", DEPTHS, band_tags={"Positive": "down", "SENSOR": "x"})
-    path, _ = made(source, tmp_path, heights_are="height")
-    terrainwave.decompress(path, tmp_path / "back.tif")
-    with rasterio.open(tmp_path / "back.tif") as dataset:
-        assert dataset.tags(1) == {"positive": "up", "SENSOR": "x"}
-
-
-@pytest.mark.parametrize("crs", ["EPSG:4326", DOWN])
-def test_xarray_says_which_way_numbers_go(tmp_path, crs):
-    about = {"band_tags": {"positive": "down"}} if crs != DOWN else {}
-    with opened(DEPTHS, tmp_path, crs=crs, **about) as terrain:
-        array = terrain.to_xarray()
-    assert array.attrs["positive"] == "down"
-    with opened(DEPTHS, tmp_path) as terrain:
-        assert "positive" not in terrain.to_xarray().attrs
 
 
 def test_a_twz_file_of_depths_gives_depths(tmp_path):
@@ -366,43 +302,6 @@ def test_patch_and_verify_refuse_the_other_sign(both, tmp_path, order):
     assert any("numbers mean something else: found" in problem for problem in report.problems)
     assert terrainwave.verify(path, own).ok
     assert terrainwave.patch(path, own).n_recoded == 0
-
-
-def test_patch_and_verify_take_what_numbers_are(both, tmp_path):
-    down, up = both
-    path, _ = made(down, tmp_path)
-    assert terrainwave.patch(path, up, heights_are="depth").n_recoded == 0
-    assert terrainwave.verify(path, up, heights_are="depth").ok
-    for source in (down, DEPTHS):
-        with pytest.raises(InvalidHeightsError, match=r"found heights \(heights_are\)"):
-            terrainwave.patch(path, source, heights_are="height")
-    assert not terrainwave.verify(path, down, heights_are="height").ok
-    # against what was asked for, tags that the file has from its raster count no more
-    path, _ = made(down, tmp_path, heights_are="height")
-    with pytest.raises(InvalidHeightsError, match="found depths"):
-        terrainwave.patch(path, down, heights_are="depth")
-
-
-def test_a_mark_counts_against_a_name_that_was_not_believed(tmp_path):
-    heights = DEPTHS - 40
-    named = write(tmp_path / "n.tif", heights, description="depth")
-    marked = write(tmp_path / "m.tif", heights, band_tags={"positive": "down"})
-    path, notes = made(named, tmp_path)
-    assert "taken for heights" in notes[0]
-    with pytest.raises(InvalidHeightsError, match="found depths"):
-        terrainwave.patch(path, marked)
-    assert terrainwave.patch(path, named).n_recoded == 0
-
-
-def test_the_commands_patch_and_verify_take_it(both, tmp_path):
-    path, _ = made(both[0], tmp_path)
-    for command in ("patch", "verify"):
-        result = CliRunner().invoke(main, [command, str(path), str(both[1])])
-        assert result.exit_code == 1
-        asked = [command, str(path), str(both[1]), "--heights-are", "depth"]
-        assert CliRunner().invoke(main, asked).exit_code == 0
-    result = CliRunner().invoke(main, ["verify", str(path), "--heights-are", "depth"])
-    assert "without ORIGINAL" in result.output
 
 
 def test_a_file_that_was_told_is_verified_and_patched_by_its_own_raster(both, tmp_path):
@@ -473,20 +372,6 @@ def test_depths_become_heights_above_the_ellipsoid(tmp_path):
 # Radii
 
 
-@pytest.mark.parametrize(
-    "ellipsoid", [EARTH, Ellipsoid(3_396_190.0, 0.0117), Ellipsoid(1.7e6, 0.0)]
-)
-def test_heights_of_radii_lead_to_the_same_distance(ellipsoid):
-    latitudes = np.array([-90.0, -45.0, 0.0, 12.5, 60.0, 90.0])
-    radii = ellipsoid.axis * np.array([0.95, 0.999, 1.0, 1.001, 1.01, 1.05])
-    heights = ellipsoid.heights_of_radii(latitudes, radii)
-    points = ellipsoid.geocentric(np.column_stack([latitudes * 0 + 20, latitudes, heights]))
-    np.testing.assert_allclose(np.linalg.norm(points, axis=1), radii, rtol=1e-14)
-    ground = ellipsoid.geocentric(np.column_stack([latitudes * 0, latitudes, latitudes * 0]))
-    surface = ellipsoid.surface_radius(latitudes)
-    np.testing.assert_allclose(np.linalg.norm(ground, axis=1), surface, rtol=1e-14)
-
-
 CASES = {
     "LOLA": (LOLA, {"crs": MOON, "scale": 0.5, "offset": 1_737_400.0}),
     "MOLA": (LOLA, {"crs": MARS, "offset": 3_396_000.0}),
@@ -545,31 +430,6 @@ def bilinear(values, row, col):
     return left * (1 - v) + (values[r, c + 1] * (1 - u) + values[r + 1, c + 1] * u) * v
 
 
-@pytest.mark.parametrize(
-    ("numbers", "about"),
-    [
-        (LOLA, {"crs": MOON}),  # heights
-        (LOLA, {"crs": MOON, "offset": 1_400_000.0}),  # another body's
-        (LOLA, {"crs": sphere(90_000), "offset": 90_000.0}),  # a small body
-        (LOLA, {"crs": MOON, "scale": 100, "offset": 1_737_400.0}),  # some are too far away
-        (LOLA, {"crs": MOON, "offset": 1_737_400.0, "unit": "mm"}),
-    ],
-)  # fmt: skip
-def test_other_numbers_are_heights(tmp_path, numbers, about):
-    path, notes = made(write(tmp_path / "r.tif", numbers, **about), tmp_path)
-    assert notes == []
-    with terrainwave.open(path) as terrain:
-        assert terrain.info().heights_are == "height"
-
-
-def test_radii_can_be_heights_if_that_is_asked_for(tmp_path):
-    numbers, about = CASES["LOLA"]
-    path, notes = made(write(tmp_path / "r.tif", numbers, **about), tmp_path, heights_are="height")
-    assert notes == []
-    with terrainwave.open(path) as terrain:
-        assert Globe(terrain).height_range == (1_735_900.0, 1_740_400.0)
-
-
 # What meets radii of the Moon, all in float32: numbers, and what is said of them.
 RELIEF = (LOLA / 2).astype(np.float32)
 FAR = RELIEF + np.float32(1_737_400)
@@ -625,25 +485,6 @@ def test_a_mosaic_of_radii_and_others_is_refused_unless_told(tmp_path, other, or
         assert terrain.info().heights_are == "height"
 
 
-@pytest.mark.parametrize(("other", "order"), [("radii", (0, 1)), ("voids", (1, 0))])
-def test_a_mosaic_of_radii_alone_is_of_radii(tmp_path, other, order):
-    pair = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", other, col=N)]
-    path, notes = made([pair[place] for place in order], tmp_path)
-    assert "taken for radii" in notes[0]
-    with terrainwave.open(path) as terrain:
-        assert terrain.info().heights_are == "radius"
-
-
-def test_a_mosaic_of_radii_that_were_asked_for_takes_no_other_numbers(tmp_path):
-    asked = as_twz(moon(tmp_path / "a.tif", "heights"), heights_are="radius")
-    plain = moon(tmp_path / "p.tif", "heights", col=N)
-    with pytest.raises(InvalidHeightsError, match=r"found heights, .* has radii \(its metadata\)"):
-        made([asked, plain], tmp_path)
-    held = as_twz(moon(tmp_path / "h.tif", "radii"), heights_are="height")
-    with pytest.raises(InvalidHeightsError, match=r"found radii \(near the radius of the body\), "):
-        made([held, moon(tmp_path / "r.tif", "radii", col=N)], tmp_path)
-
-
 @pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
 @pytest.mark.parametrize(
     ("own", "other", "opened_as"),
@@ -673,34 +514,23 @@ def test_patch_and_verify_refuse_radii_beside_others(tmp_path, own, other, opene
     assert terrainwave.verify(path, source).ok
 
 
-def test_a_patch_of_a_mosaic_has_one_kind_of_numbers(tmp_path):
-    halves = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", "heights", col=N)]
-    both = [halves[1], moon(tmp_path / "w.tif", "heights")]
-    path, _ = made(both, tmp_path, **WIDE)
-    with pytest.raises(InvalidHeightsError, match=r"o.tif: found heights, .* has radii \(near"):
-        terrainwave.patch(path, halves)
+def test_radii_become_heights_above_the_ellipsoid(tmp_path):
+    numbers, about = CASES["MOLA"]
+    path, _ = made(write(tmp_path / "r.tif", numbers, **about), tmp_path)
+    quietly(terrainwave.decompress, path, tmp_path / "up.tif", vertical="ellipsoid")
+    with rasterio.open(tmp_path / "up.tif") as dataset:
+        np.testing.assert_allclose(dataset.read(1), LOLA + 3_396_000.0 - 3_396_190.0, atol=1e-3)
 
 
-def test_a_patch_of_voids_alone_fits_radii(tmp_path):
-    path, _ = made(moon(tmp_path / "r.tif", "radii"), tmp_path, **WIDE)
-    assert quietly(terrainwave.patch, path, moon(tmp_path / "v.tif", "voids")).n_recoded > 0
+def test_a_depth_s_name_over_heights_below_the_sea_is_not_believed(tmp_path):
+    heights = -DEPTHS
+    heights[0, :5] = 3
+    path, notes = made(write_netcdf(tmp_path / "d.nc", heights=heights), tmp_path)
+    (note,) = notes
+    assert "its name: depth means depths, but most numbers are below 0" in note
     with terrainwave.open(path) as terrain:
-        assert terrain.read(masked=True).mask.all()
-
-
-def test_radii_that_are_asked_for_meet_radii_alone(tmp_path):
-    heights, radii = moon(tmp_path / "h.tif", "heights"), moon(tmp_path / "r.tif", "radii")
-    path, _ = made(heights, tmp_path)
-    with pytest.raises(InvalidHeightsError, match=r"found radii \(heights_are\), the file has"):
-        terrainwave.patch(path, heights, heights_are="radius")
-    assert not terrainwave.verify(path, heights, heights_are="radius").ok
-    path, _ = made(radii, tmp_path)
-    assert not terrainwave.verify(path, radii, heights_are="height").ok
-    for source, kind in ((heights, "radius"), (radii, "height")):
-        path, _ = made(source, tmp_path, heights_are=kind)
-        for options in ({}, {"heights_are": kind}):
-            assert terrainwave.verify(path, source, **options).ok
-            assert terrainwave.patch(path, source, **options).n_recoded == 0
+        assert terrain.info().heights_are == "height"
+        assert quietly(Globe, terrain).height_range == (-60, 3)
 
 
 def test_numbers_of_which_some_are_near_the_radius_are_heights_with_a_note(tmp_path):
@@ -710,50 +540,3 @@ def test_numbers_of_which_some_are_near_the_radius_are_heights_with_a_note(tmp_p
         assert terrain.info().heights_are == "height"
     path, notes = made(moon(tmp_path / "z.tif", "zeros between"), tmp_path, nodata=0)
     assert "taken for radii" in notes[0]
-
-
-def test_radii_become_heights_above_the_ellipsoid(tmp_path):
-    numbers, about = CASES["MOLA"]
-    path, _ = made(write(tmp_path / "r.tif", numbers, **about), tmp_path)
-    quietly(terrainwave.decompress, path, tmp_path / "up.tif", vertical="ellipsoid")
-    with rasterio.open(tmp_path / "up.tif") as dataset:
-        np.testing.assert_allclose(dataset.read(1), LOLA + 3_396_000.0 - 3_396_190.0, atol=1e-3)
-
-
-def test_what_radii_become_is_not_said_to_be_proj_s_nor_above_a_datum(tmp_path):
-    crs = f'COMPD_CS["c",{MARS},VERT_CS["areoid",VERT_DATUM["areoid",2005],UNIT["metre",1]]]'
-    path, notes = made(write(tmp_path / "r.tif", LOLA + 3_396_000.0, crs=crs), tmp_path)
-    assert "taken for radii" in notes[0]
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        with terrainwave.open(path) as terrain:
-            write_tiles(terrain, tmp_path / "tiles", max_zoom=1)
-        make_app([str(path)])
-        terrainwave.decompress(path, tmp_path / "up.tif", vertical="ellipsoid")
-    texts = [str(one.message) for one in said]
-    assert not [text for text in texts if "are taken for heights above" in text or "PROJ" in text]
-
-
-def test_a_legend_of_radii_has_heights(tmp_path):
-    class Palette:
-        colors = np.zeros((1, 256, 3), dtype=np.uint8)
-        ranges = (0.0, 1.0, 0.0, 1.0)
-
-        def color_of(self, metres, _):
-            return np.zeros((len(metres), 3), dtype=np.uint8)
-
-    numbers, about = CASES["LOLA"]
-    with opened(numbers, tmp_path, **about) as terrain:
-        frame = quietly(frame_of, terrain)
-    legend = legend_of(Style(coloring="relative"), Palette(), frame, "m", has_voids=False)
-    values = [float(text) for _, text in legend.labels]
-    assert legend.title == "height, m"
-    assert -1500 <= min(values) < max(values) <= 3000
-
-
-def test_a_mesh_without_a_word_is_of_heights():
-    square = np.array([[0.0, 0, 1], [1, 0, 1], [1, 1, 1]])
-    mesh = MeshData(square, np.array([[0, 1, 2]], np.int32), (0.0, 0.0, 0.0), 0.0, "EPSG:32632")
-    assert to_frame(mesh, "local").points[:, 2].tolist() == [1, 1, 1]
-    deep = replace(mesh, heights_are="depth")
-    assert quietly(to_frame, deep, "local").points[:, 2].tolist() == [-1, -1, -1]

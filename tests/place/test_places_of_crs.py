@@ -18,7 +18,6 @@ from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.terrain_rgb import max_zoom, rgb_tile
 from terrainwave.place.ellipsoid import EARTH
-from terrainwave.render.scene.camera import Viewport, format_camera, home, parse_camera
 from terrainwave.render.scene.frame import frame_of
 from terrainwave.terrain import Terrain
 
@@ -90,22 +89,6 @@ def test_heights_are_sampled_where_the_affine_says(case):
     # on the outermost samples rounding decides which side a place is on
     strictly = inside(rows, cols, 1e-6)
     np.testing.assert_allclose(found[strictly], expected[strictly], atol=1e-4)
-
-
-@of_all
-def test_longitudes_of_any_turn_are_the_same(case):
-    terrain, (rows, cols) = terrain_of(case), _STEP_AT
-    places = np.column_stack(case.xy(rows, cols))[inside(rows, cols, 1e-6)]
-    expected = terrain.sample(places)
-    if not case.flat.is_geographic:
-        assert np.isnan(terrain.sample(places + np.array([1e9, 0.0]))).all()
-        return
-    turn = 360 / math.degrees(case.flat.axis_info[0].unit_conversion_factor)
-    axis = int(case.flat.axis_info[1].direction == "west")
-    for turns in (-1, 1, 2):
-        moved = places.copy()
-        moved[:, axis] += turns * turn
-        np.testing.assert_allclose(terrain.sample(moved), expected, atol=1e-4)
 
 
 @of_all
@@ -232,13 +215,6 @@ def vertices(case, mesh):
 
 
 @of_some
-def test_native_meshes_are_in_the_crs(case):
-    rows, cols, heights = vertices(case, to_frame(mesh_of(case), "native"))
-    assert inside(rows, cols, -1e-3).all()
-    np.testing.assert_allclose(heights, plane(rows, cols), atol=0.02)
-
-
-@of_some
 def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -312,19 +288,6 @@ def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
         _, lat = case.lonlat(rows, cols)
         assert frame.latitudes == pytest.approx((lat.min(), lat.max()), abs=np.ptp(lat) / 2)
         assert frame.latitudes[0] < frame.latitudes[1]
-
-
-@of_some
-def test_a_camera_comes_back_from_its_line(case):
-    frame = frame_of(terrain_of(case))
-    camera = home(frame.box, Viewport(640, 480))
-    line = format_camera(camera, frame)
-    np.testing.assert_allclose(parse_camera(line, frame).eye, camera.eye, rtol=1e-6, atol=1e-3)
-    # it stands where the raster's samples say, and looks at the raster
-    x, y = (float(number) for number in line.split(",")[:2])
-    rows, cols = case.samples(*case.to_globe.transform(x, y))
-    place = frame.samples_to_local(np.array([rows]), np.array([cols]))[0]
-    np.testing.assert_allclose(camera.eye[:2], place, atol=0.5)
 
 
 # Without a place

@@ -1,7 +1,6 @@
 """`Terrain.sample` around the globe, against linear interpolation by hand; what `info` says."""
 
 import io
-import subprocess
 import sys
 
 import numpy as np
@@ -10,7 +9,6 @@ import rasterio
 from place.crs_cases import CF_POLE, GRIB
 from twz import twz_bytes
 
-from terrainwave.globe.lonlat import Globe
 from terrainwave.terrain import Terrain
 
 
@@ -43,15 +41,6 @@ def test_a_raster_around_the_globe_goes_on_from_its_last_column(first, turns):
     assert terrain.sample(place) == pytest.approx([0.25 * 35**2], abs=1e-3)
 
 
-def test_samples_around_the_globe_are_those_of_the_height_query():
-    terrain = around(36, -180.0)
-    lon, lat = np.linspace(-540, 540, 217), np.zeros(217)
-    rows, cols = Globe(terrain).to_samples(lon, lat)
-    expected, _ = Globe(terrain).heights_at(rows, cols, terrain.grid.k_max)
-    found = terrain.sample(np.column_stack([lon, lat]))
-    np.testing.assert_allclose(found, expected, atol=1e-3)
-
-
 def test_a_coarse_level_closes_around_the_globe():
     terrain = around(37, -180.0)
     # level -2 has columns 0, 2, … 36 of 37: from 36 to 37, which is 0, half a step of it
@@ -60,49 +49,11 @@ def test_a_coarse_level_closes_around_the_globe():
     assert terrain.sample(place, level=-2) == pytest.approx([36**2 / 2], abs=1e-3)
 
 
-def test_a_raster_that_ends_before_the_turn_does_not_close():
-    terrain = terrain_of(np.ones((5, 35)), (10, 0, -180, 0, -10, 25), "EPSG:4326")
-    assert np.isnan(terrain.sample([(175.0, 0.0), (-179.0, 0.0)])).all()
-
-
 def test_longitudes_of_a_turned_pole_wrap_too():
     terrain = terrain_of(np.ones((9, 9)), (0.1, 0, 359.6, 0, -0.1, 0.4), CF_POLE)
     assert terrain.sample([(0.0, 0.0), (-360.0, 0.0), (360.0, 0.0)]) == pytest.approx([1, 1, 1])
 
 
-def test_metres_do_not_wrap():
-    terrain = terrain_of(np.ones((9, 9)), (100, 0, 0, 0, -100, 0), "EPSG:32633")
-    assert np.isnan(terrain.sample([(760.0, -400.0), (-360.0 + 100.0, -400.0)])[1])
-
-
 def test_sampling_needs_no_pyproj(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyproj", None)
     assert around(36, -180.0, GRIB).sample([(175.0, 0.0), (535.0, 0.0)]) == pytest.approx(1225)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("crs", "units", "expected"),
-    [
-        ("EPSG:26918+6360", None, "US survey foot (from the CRS)"),
-        ("EPSG:26918+6360", "m", "m (from the band; the CRS says US survey foot)"),
-        ("EPSG:26918", "m", "m (from the band)"),
-        ("EPSG:26918", None, "unknown"),
-    ],
-)
-def test_info_says_where_the_unit_comes_from(tmp_path, crs, units, expected):
-    path = tmp_path / "a.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=5, width=5, count=1, dtype="float32", crs=crs,
-        transform=rasterio.Affine(30, 0, 5e5, 0, -30, 4e6),
-    ) as dataset:  # fmt: skip
-        dataset.write(np.ones((1, 5, 5), np.float32))
-        if units:
-            dataset.units = (units,)
-        path.write_bytes(twz_bytes(dataset, max_error=0))
-    done = subprocess.run(
-        [sys.executable, "-m", "terrainwave", "info", str(path)],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("unit ")]
-    assert line.split(maxsplit=1)[1].strip() == expected

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pyproj
 import pytest
-from place.crs_cases import CF_POLE, MOON, TOWGS84
+from place.crs_cases import MOON, TOWGS84
 from rasterio.crs import CRS
 from rasterio.warp import transform
 
@@ -15,7 +15,7 @@ from terrainwave.place.bodies import body_of_radius
 from terrainwave.place.crs import format_crs
 from terrainwave.place.description import describe_crs
 from terrainwave.place.ellipsoid import EARTH
-from terrainwave.place.position import axis_attributes, axis_labels, place_of
+from terrainwave.place.position import axis_labels, place_of
 from terrainwave.place.system import system_of
 
 BOUND_TO_A_GRID = "+proj=utm +zone=33 +geoidgrids=a.gtx +vunits=us-ft"
@@ -28,12 +28,6 @@ def system(crs):
 def test_radii_at_45_degrees_are_those_of_wgs84():
     # M and N of WGS 84 at 45 degrees, as tables of the ellipsoid give them
     assert EARTH.radii(45.0) == pytest.approx((6367381.816, 6388838.290), abs=0.001)
-
-
-def test_a_degree_of_latitude_at_the_equator_is_110_574_m():
-    meridian, normal = EARTH.radii(0.0)
-    assert math.radians(meridian) == pytest.approx(110574.276, abs=0.01)
-    assert math.radians(normal) == pytest.approx(111319.491, abs=0.01)
 
 
 def test_geocentric_points_known_by_hand():
@@ -96,29 +90,6 @@ def test_the_body_is_the_authority_s_or_the_radius_s(crs, body):
     assert system(crs).body == body
 
 
-@pytest.mark.parametrize(
-    ("crs", "labels"),
-    [
-        ("EPSG:4326", ("longitude, degrees", "latitude, degrees")),
-        ("EPSG:4807", ("longitude, grad", "latitude, grad")),
-        ("EPSG:32633", ("easting, m", "northing, m")),
-        ("EPSG:31467", ("easting, m", "northing, m")),
-        ("EPSG:32661", ("easting, m", "northing, m")),
-        ("EPSG:2263", ("easting, US survey foot", "northing, US survey foot")),
-        ("EPSG:2053", ("westing, m", "southing, m")),
-        ("EPSG:5513", ("southing, m", "westing, m")),
-        (CF_POLE, ("grid longitude, degrees", "grid latitude, degrees")),
-        ("IAU_2015:49901", ("latitude, degrees", "longitude, degrees")),
-        (
-            "IAU_2015:49902",
-            ("planetocentric longitude, degrees", "planetocentric latitude, degrees"),
-        ),
-    ],
-)
-def test_axes_have_their_own_names(crs, labels):
-    assert axis_labels(format_crs(CRS.from_user_input(crs))) == labels
-
-
 def test_planetocentric_latitudes_are_degrees_beside_longitudes_as_gdal_has_them():
     text, xy = "IAU_2015:49902", np.array([[10.0, 40.0], [-170.0, -60.0]])
     place = place_of(text, (0, 0, 1, 1))
@@ -132,21 +103,6 @@ def test_planetocentric_latitudes_are_degrees_beside_longitudes_as_gdal_has_them
     assert place.in_degrees
     assert place.longitude_axis == 0
     assert place.local_axes(10.0, 40.0).lengths == pytest.approx((45448, 58992), rel=1e-2)
-
-
-def test_what_has_no_place_has_no_names_of_axes():
-    assert axis_labels(None) == ("x, unit unknown", "y, unit unknown")
-    assert axis_labels(None, is_placed=False) == ("x, samples", "y, samples")
-
-
-def test_attributes_of_axes_are_those_of_cf():
-    x, y = axis_attributes("EPSG:4326")
-    assert (x["standard_name"], y["units"]) == ("longitude", "degrees_north")
-    x, y = axis_attributes(CF_POLE)
-    assert (x["standard_name"], y["standard_name"]) == ("grid_longitude", "grid_latitude")
-    x, y = axis_attributes("EPSG:2263")
-    assert (x["standard_name"], y["units"]) == ("projection_x_coordinate", "US survey foot")
-    assert axis_attributes(None)[0] == {"axis": "X", "standard_name": "projection_x_coordinate"}
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pyproj
 import pytest
 import rasterio
 from place.grids import undulation, write_geotiff, write_gtx
-from quantized_mesh import metadata, read_tile
+from quantized_mesh import read_tile
 from twz import twz_bytes
 
 import terrainwave
@@ -223,15 +223,6 @@ def test_what_the_geoid_bends_under_triangles_is_in_the_error(tmp_path, monkeypa
     assert found.error > mesh.error + 1.0
 
 
-def test_a_tile_of_a_mesh_says_what_its_heights_are(grids, tmp_path):
-    twz, target = raster(tmp_path, EGM96, hills()), tmp_path / "a.terrain"
-    with terrainwave.open(twz) as terrain:
-        saved = terrain.mesh(max_error=1.0).save(target, vertical="ellipsoid")
-    *_, extensions = read_tile(target.read_bytes())
-    assert metadata(extensions)["vertical"] == saved.vertical
-    assert saved.vertical["grids"] == ["us_nga_egm96_15.tif"]
-
-
 # As they are
 
 
@@ -248,14 +239,6 @@ def test_as_is_is_the_default_with_one_note_of_the_datum(tmp_path):
         assert len(told) == 1
     layer = json.loads((tmp_path / "tiles" / "layer.json").read_text())
     assert layer["vertical"] == {"heights": "as-is", "datum": "EGM96 geoid"}
-
-
-@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4979", "EPSG:4937"])
-def test_no_note_where_no_geoid_is_named(tmp_path, crs):
-    twz = raster(tmp_path, crs, hills())
-    with warnings.catch_warnings(), terrainwave.open(twz) as terrain:
-        warnings.simplefilter("error")
-        to_frame(terrain.mesh(max_error=1.0), "ecef")
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4979", "EPSG:4937"])
@@ -293,18 +276,6 @@ def test_depths_go_down(tmp_path):
             mesh.save(tmp_path / "a.stl", frame="local", solid=0.0)
 
 
-def test_depths_become_ellipsoidal_with_their_sign(grids, tmp_path):
-    # the grid that PROJ 9.5 names for mean sea level
-    write_geotiff(grids / "Und_min1x1_egm2008_isw=82_WGS84_TideFree.gz")
-    twz, tif = raster(tmp_path, DEPTH, hills()), tmp_path / "above.tif"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        terrainwave.decompress(twz, tif, vertical="ellipsoid")
-    with rasterio.open(tif) as dataset:
-        found = dataset.read(1)
-    np.testing.assert_allclose(found, -hills() + undulation(*places(twz)), atol=1e-3)
-
-
 # Refusals
 
 
@@ -331,13 +302,6 @@ def test_a_second_best_operation_does_not_stand_in_for_the_best(tmp_path, grids)
         path.write_bytes(twz_bytes(dataset, max_error=0))
     with pytest.raises(InvalidHeightsError, match=r"PROJ's nl_nsgi_rdtrans2018\.tif to become"):
         terrainwave.decompress(path, tmp_path / "a.tif", vertical="ellipsoid")
-
-
-def test_a_grid_of_one_s_own_that_is_missing_is_named(tmp_path):
-    twz = raster(tmp_path, FEET, hills())
-    with terrainwave.open(twz) as terrain:
-        with pytest.raises(InvalidHeightsError, match=r"test_geoid\.gtx.*copy it into"):
-            TilePyramid(terrain, vertical="ellipsoid")
 
 
 def test_ballpark_operations_are_refused(tmp_path):
@@ -410,47 +374,3 @@ def test_the_commands_find_a_user_s_grid_and_say_what_heights_are(tmp_path, grid
     done = run("tiles", twz, tmp_path / "other")
     assert "as they are (EGM96 geoid)" in done.stdout
     assert done.stderr.count("--vertical ellipsoid converts them") == 1
-
-
-@pytest.mark.full
-def test_the_commands_refuse_in_one_line(tmp_path):
-    twz = raster(tmp_path, EGM96, hills())
-    for args in (
-        ("mesh", twz, tmp_path / "a.ply", "--frame", "ecef", "--vertical", "ellipsoid"),
-        ("tiles", twz, tmp_path / "tiles", "--vertical", "ellipsoid"),
-        ("decompress", twz, tmp_path / "a.tif", "--vertical", "ellipsoid"),
-        ("tiles", twz, tmp_path / "a.pmtiles", "--vertical", "ellipsoid"),
-    ):
-        done = run(*args, PROJ_USER_WRITABLE_DIRECTORY=str(tmp_path))
-        assert done.returncode == 1 + (args[2].suffix == ".pmtiles")  # wrong usage
-        assert len([line for line in done.stderr.splitlines() if line.startswith("error")]) <= 1
-        assert "Traceback" not in done.stderr
-    assert not [path for path in tmp_path.iterdir() if path.name not in ("dem.twz", "cache.db")]
-
-
-def test_a_server_has_the_tiles_that_are_written(tmp_path, grids):
-    from fastapi.testclient import TestClient
-
-    from terrainwave.ext.serve.app import make_app
-    from terrainwave.globe.terrain_rgb import height_of_voids
-
-    twz = raster(tmp_path, EGM96, hills())
-    with terrainwave.open(twz) as terrain:
-        ground = Globe(terrain)
-        lon, lat = ground.extent.centre
-        x, y = int((lon + 180) / 180 * 2**8), int((lat + 90) / 180 * 2**8)
-        answers = {}
-        for vertical in ("ellipsoid", "as-is"):
-            with warnings.catch_warnings(record=True) as told:
-                warnings.simplefilter("always", TerrainwaveWarning)
-                client = TestClient(make_app([str(twz)], vertical=vertical), "http://127.0.0.1")
-            said = [str(one.message) for one in told]
-            assert any("are taken for heights above" in one for one in said) is (
-                vertical == "as-is"
-            )
-            layer = client.get("/dem/mesh/layer.json").json()
-            assert layer["vertical"]["heights"] == vertical
-            pyramid = TilePyramid(ground, vertical=vertical, void_height=height_of_voids(ground))
-            answers[vertical] = client.get(f"/dem/mesh/8/{x}/{y}.terrain").content
-            assert answers[vertical] == pyramid.tile(8, x, y).data
-        assert answers["ellipsoid"] != answers["as-is"]

@@ -97,25 +97,6 @@ def test_a_large_photo_shrinks_to_the_limits(tmp_path, limits, size):
     assert drape(path, **limits).pixels.shape == (*size, 4)
 
 
-def test_grey_alpha_and_palettes_become_colours(tmp_path):
-    grey, alpha = noise(*SHAPE), noise(*SHAPE, seed=2) // 128 * 255
-    found = drape(write(tmp_path / "g.tif", [grey, alpha], alpha=True)).pixels
-    assert (found[..., 3] == alpha).all()
-    seen = alpha == 255
-    assert (found[seen, :3] == grey[seen, None]).all()
-    table = {0: (255, 0, 0, 255), 1: (0, 255, 0, 255), 2: (9, 9, 9, 255)}
-    classes = noise(*SHAPE) % 3
-    found = drape(write(tmp_path / "p.tif", [classes], colormap=table)).pixels
-    expected = np.array([table[k] for k in range(3)])[classes]
-    np.testing.assert_array_equal(found, expected)
-
-
-def test_rasters_without_a_crs_share_their_coordinates(tmp_path):
-    bands = noise(3, *SHAPE)
-    found = drape(write(tmp_path / "a.tif", bands, crs=None), crs=None)
-    np.testing.assert_array_equal(found.pixels[..., :3], np.moveaxis(bands, 0, -1))
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -131,25 +112,10 @@ def test_a_photo_in_the_wrong_place_is_refused(tmp_path, options, message):
         drape(path)
 
 
-def test_a_terrain_without_a_crs_needs_a_photo_without_one(tmp_path):
-    path = write(tmp_path / "a.tif", noise(3, *SHAPE))
-    with pytest.raises(InvalidHeightsError, match="the terrain has no coordinate reference system"):
-        drape(path, crs=None)
-
-
 @pytest.mark.parametrize("bands", [noise(2, 9, 9), noise(3, 9, 9).astype(np.uint16)])
 def test_what_is_no_picture_of_eight_bits_is_refused(tmp_path, bands):
     with pytest.raises(InvalidHeightsError, match="expected a picture of 1 or 3 bands of 8 bits"):
         drape(write(tmp_path / "a.tif", bands))
-
-
-def test_a_file_that_is_missing_or_damaged_is_named(tmp_path):
-    with pytest.raises(StorageError, match=r"b\.tif: no such file"):
-        drape(str(tmp_path / "b.tif"))
-    path = write(tmp_path / "a.tif", noise(3, 400, 600))
-    (tmp_path / "a.tif").write_bytes((tmp_path / "a.tif").read_bytes()[:9000])
-    with pytest.raises(StorageError, match=r"a\.tif"):
-        drape(path)
 
 
 @pytest.mark.full
@@ -213,3 +179,16 @@ def test_of_tiles_those_of_the_zoom_that_fits_are_fetched_and_missing_ones_are_c
         server.is_down = True
         with pytest.raises(StorageError, match="cannot warp http"):
             photo.part((0.0, 0.0, 60.0, 40.0), (60, 40))
+
+
+def test_grey_alpha_and_palettes_become_colours(tmp_path):
+    grey, alpha = noise(*SHAPE), noise(*SHAPE, seed=2) // 128 * 255
+    found = drape(write(tmp_path / "g.tif", [grey, alpha], alpha=True)).pixels
+    assert (found[..., 3] == alpha).all()
+    seen = alpha == 255
+    assert (found[seen, :3] == grey[seen, None]).all()
+    table = {0: (255, 0, 0, 255), 1: (0, 255, 0, 255), 2: (9, 9, 9, 255)}
+    classes = noise(*SHAPE) % 3
+    found = drape(write(tmp_path / "p.tif", [classes], colormap=table)).pixels
+    expected = np.array([table[k] for k in range(3)])[classes]
+    np.testing.assert_array_equal(found, expected)

@@ -1,12 +1,10 @@
 """What a file does not hold is said, once; bands that mark voids mark them in every type."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
 from rasterio.control import GroundControlPoint
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning
@@ -14,7 +12,6 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES
 from terrainwave.raster_io.source import RasterSource
@@ -80,39 +77,6 @@ def test_several_alpha_bands_all_count_and_are_named(tmp_path):
         assert read_all(source)[1].tolist() == [[True, False, False]]
 
 
-def test_alpha_band_that_is_taken_itself_names_the_others(tmp_path):
-    path = with_alpha(tmp_path / "a.tif", "float32", [np.ones((1, 2))], [np.array([[0.0, 9.0]])])
-    with RasterSource(path, band=2) as source:  # chosen: no warning
-        heights, valid = read_all(source)
-        assert source.notes == (f"{path}: using band 2; left out: band 1",)
-    assert (heights.tolist(), valid.tolist()) == ([[0.0, 9.0]], [[True, True]])
-
-
-def test_alpha_band_that_nobody_chose_is_named(tmp_path):
-    bands = np.array([[[0, 9]], [[5, 6]]], dtype="uint8")
-    path = write_geotiff(tmp_path / "a.tif", bands, **PLACE)
-    with rasterio.open(path, "r+") as dataset:
-        dataset.colorinterp = (ColorInterp.alpha, ColorInterp.gray)
-    with RasterSource(path, warn=False) as source:
-        assert (
-            f"{path}: band 1 is an alpha band, whose numbers are taken for heights" in source.notes
-        )
-
-
-def test_bands_that_are_left_out_have_their_names(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", np.stack([terrain_like(4, 4)] * 3), **PLACE)
-    with rasterio.open(path, "r+") as dataset:
-        dataset.descriptions = ("height", "slope", None)
-    with pytest.warns(TerrainwaveWarning, match=r"left out: band 2 \(slope\), band 3$"):
-        RasterSource(path).close()
-
-
-def test_many_bands_are_named_in_few_words(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", np.stack([terrain_like(4, 4)] * 60), **PLACE)
-    with pytest.warns(TerrainwaveWarning, match="left out: 59 bands, from 2 to 60$"):
-        RasterSource(path).close()
-
-
 def test_a_place_that_is_lost_is_said(tmp_path):
     points = [GroundControlPoint(r, c, 10.0 + c, 50.0 - r) for r, c in [(0, 0), (0, 9), (9, 0)]]
     with pytest.warns(NotGeoreferencedWarning):
@@ -124,15 +88,6 @@ def test_a_place_that_is_lost_is_said(tmp_path):
         dataset.write(terrain_like(10, 10), 1)
     with pytest.warns(TerrainwaveWarning, match="GCPs are dropped.* place and CRS are lost"):
         RasterSource(tmp_path / "b.tif").close()
-
-
-def test_geolocation_arrays_are_said_to_be_lost(tmp_path):
-    path = write_geotiff(tmp_path / "a.tif", terrain_like(10, 10))
-    with pytest.warns(NotGeoreferencedWarning), rasterio.open(path, "r+") as dataset:
-        dataset.update_tags(ns="GEOLOCATION", X_DATASET="lon.tif", Y_DATASET="lat.tif")
-    with pytest.warns(TerrainwaveWarning, match="geolocation arrays are dropped") as noted:
-        RasterSource(path).close()
-    assert len(noted) == 1
 
 
 @pytest.mark.parametrize(
@@ -152,44 +107,3 @@ def test_value_that_a_tag_calls_missing_is_named(tmp_path, tags, is_noted):
         assert [bool(re.search("heights of -999 count", note)) for note in source.notes] == (
             [True] * is_noted
         )
-
-
-@pytest.mark.parametrize("n_tiles", [1, 2])
-def test_overviews_and_statistics_are_noted_without_a_warning(tmp_path, n_tiles):
-    paths = []
-    for number in range(n_tiles):
-        place = {**PLACE, "transform": Affine(10, 0, 5e5 + 400 * number, 0, -10, 5e6)}
-        paths.append(write_geotiff(tmp_path / f"{number}.tif", terrain_like(40, 40), **place))
-        with rasterio.open(paths[-1], "r+") as dataset:
-            dataset.build_overviews([2])
-            dataset.update_tags(1, STATISTICS_MEAN="5.5")
-    with RasterSource(paths) as source:  # warnings are errors
-        (note,) = source.notes
-    more = " and 1 more" if n_tiles == 2 else ""
-    assert note == (
-        f"{paths[0]}{more}: not kept, as the heights give them again: overviews (levels are samples"
-        " of the full grid) and statistics"
-    )
-
-
-def test_other_rasters_of_a_file_are_named(tmp_path):
-    path = tmp_path / "a.tif"
-    write_geotiff(path, terrain_like(4, 4), **PLACE)
-    write_geotiff(path, terrain_like(4, 4), append_subdataset="YES", **PLACE)
-    with pytest.warns(TerrainwaveWarning, match="several rasters.*GTIFF_DIR:1:.*GTIFF_DIR:2:"):
-        RasterSource(path).close()
-
-
-@pytest.mark.parametrize(("band", "other"), [(1, 2), (2, 1)])
-@pytest.mark.parametrize("as_json", [True, False])
-def test_each_note_is_printed_once_and_is_in_the_result(tmp_path, band, other, as_json):
-    path = write_geotiff(tmp_path / "a.tif", np.stack([terrain_like(40, 40)] * 2), **PLACE)
-    args = ["compress", str(path), f"{tmp_path}/a.twz", "--band", str(band)]
-    done = CliRunner().invoke(main, [*args, "--json"] if as_json else args)
-    printed = done.stderr.count(f"left out: band {other}")
-    if as_json:
-        notes = json.loads(done.stdout)["notes"]
-        assert sum(f"left out: band {other}" in note for note in notes) == 1
-        assert printed == (band == 1)  # as a warning
-    else:
-        assert printed == 1

@@ -1,10 +1,7 @@
 """Several rasters as one: where they lie, what is void, what is refused."""
 
-import os
-
 import numpy as np
 import pytest
-import rasterio
 from click.testing import CliRunner
 from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
@@ -12,10 +9,8 @@ from strategies import read_geotiff, terrain_like, write_geotiff
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
-from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io import mosaic
 from terrainwave.raster_io import source as source_module
-from terrainwave.raster_io.even import samples_in
 from terrainwave.raster_io.source import RasterSource
 
 CRS = "EPSG:32633"
@@ -223,24 +218,6 @@ def test_raster_turned_by_another_angle_is_refused_with_the_angle(tmp_path):
         RasterSource([first, second])
 
 
-def test_what_several_tiles_say_alike_is_said_once(tmp_path):
-    paths = [
-        tile(tmp_path / f"{col}.tif", np.stack([terrain_like(4, 4)] * 2), 0, col)
-        for col in (0, 4, 8)
-    ]
-    with pytest.warns(TerrainwaveWarning, match=r"0\.tif and 2 more: found 2 bands") as noted:
-        read_mosaic(paths)
-    assert len(noted) == 1
-
-
-def test_what_tiles_do_not_share_is_named(tmp_path):
-    first = tile(tmp_path / "a.tif", terrain_like(4, 4), bands={"descriptions": "ground"})
-    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, tags={"AREA_OR_POINT": "Point"})
-    with pytest.warns(TerrainwaveWarning, match="AREA_OR_POINT, the band's description$"):
-        info, _, _ = read_mosaic([first, second])
-    assert (info.description, info.area_or_point) == (None, None)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -261,55 +238,11 @@ def test_rasters_that_do_not_fit_are_refused_with_advice(tmp_path, change, messa
         RasterSource([first, second])
 
 
-@pytest.mark.parametrize(("one", "other"), [("metre", "m"), ("Meters", "METRE"), ("m.", "m")])
-def test_tiles_whose_unit_is_spelled_otherwise_are_one_mosaic(tmp_path, one, other):
-    first = tile(tmp_path / "a.tif", terrain_like(4, 4), units=(one,))
-    second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=(other,))
-    info, _, _ = read_mosaic([first, second])
-    assert info.units == one
-
-
 def test_tiles_of_other_units_are_refused_with_how_to_convert(tmp_path):
     first = tile(tmp_path / "a.tif", terrain_like(4, 4), units=("metre",))
     second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=("ft",))
     with pytest.raises(InvalidHeightsError, match=r'b\.tif: found heights in ft.*"A\*0\.3048"'):
         RasterSource([first, second])
-
-
-def test_tiles_without_a_unit_are_taken_for_that_of_the_others_with_a_note(tmp_path):
-    first = tile(tmp_path / "a.tif", terrain_like(4, 4))
-    second = tile(tmp_path / "b.tif", terrain_like(4, 4), col=4, units=("ft",))
-    third = tile(tmp_path / "c.tif", terrain_like(4, 4), col=8)
-    with pytest.warns(
-        TerrainwaveWarning, match=r"a\.tif and 1 more: no unit .* for ft, as .*b\.tif"
-    ):
-        info, _, _ = read_mosaic([first, second, third])
-    assert info.units == "ft"
-
-
-def test_tags_that_all_tiles_have_are_kept(four_tiles):
-    _, paths = four_tiles
-    for number, path in enumerate(paths):
-        with rasterio.open(path, "r+") as dataset:
-            dataset.update_tags(licence="CC0", tile=str(number))
-    with (
-        pytest.warns(TerrainwaveWarning, match="as the rasters differ there: the tags tile$"),
-        RasterSource(paths) as source,
-    ):
-        assert source.info.tags == (("licence", "CC0"),)
-
-
-def test_missing_tile_is_named(four_tiles, tmp_path):
-    with pytest.raises(StorageError, match=r"gone\.tif: no such file"):
-        RasterSource([*four_tiles[1], tmp_path / "gone.tif"])
-
-
-def test_few_files_are_open_at_a_time(four_tiles, monkeypatch):
-    whole, paths = four_tiles
-    monkeypatch.setattr(mosaic, "_MAX_OPEN", 2)
-    with RasterSource(paths) as source:
-        np.testing.assert_array_equal(source.read(0, 0, 40, 60)[0], whole)
-        assert len(source._backend._open) == 2
 
 
 @pytest.mark.full
@@ -337,24 +270,6 @@ def test_each_file_is_opened_once_more_for_a_scan_and_few_at_a_time(tmp_path, mo
     assert most <= 12 + 1
 
 
-def test_open_datasets_are_read_and_left_open(four_tiles):
-    whole, paths = four_tiles
-    with rasterio.open(paths[0]) as first, rasterio.open(paths[1]) as second:
-        _, heights, _ = read_mosaic([first, second])
-        assert not first.closed
-    np.testing.assert_array_equal(heights, whole[:20])
-
-
-def test_list_of_numbers_is_still_an_array():
-    with RasterSource([[1.0, 2.0], [3.0, 4.0]]) as source:
-        assert source.read(0, 0, 2, 2)[0].tolist() == [[1, 2], [3, 4]]
-
-
-def test_samples_in_counts_overlaps_once():
-    # By hand: 4 x 4 and 2 x 6 share 2 x 2.
-    assert samples_in([Region(0, 0, 4, 4), Region(2, 2, 2, 6)]) == 16 + 12 - 4
-
-
 # The command.
 
 
@@ -373,10 +288,6 @@ def test_command_makes_one_file_of_tiles_and_it_comes_back(four_tiles, tmp_path)
     assert profile["transform"][:6] == (30.0, 0.0, 500_000.0, 0.0, -30.0, 5_000_000.0)
     assert not valid[20:, :30].any()
     assert np.abs(heights[valid] - whole[valid]).max() <= 1
-
-
-def test_no_source_is_wrong_usage():
-    assert CliRunner().invoke(main, ["compress", "out.twz"]).exit_code == 2
 
 
 def test_target_that_is_one_of_the_sources_is_refused(four_tiles):
@@ -414,28 +325,13 @@ def test_vrt_is_void_where_it_has_no_source(four_tiles, tmp_path):
     assert valid.sum() == 2 * 20 * 30
 
 
-def test_vrt_without_nodata_is_noted(four_tiles, tmp_path):
-    _, paths = four_tiles
-    vrt = write_vrt(tmp_path / "a.vrt", [(paths[0], 0, 0)], None)
-    with pytest.warns(TerrainwaveWarning, match="declares no nodata value.*-vrtnodata"):
-        RasterSource(vrt).close()
-
-
-def test_vrt_of_more_files_than_may_be_open_says_what_helps(four_tiles, tmp_path):
-    import resource  # not on Windows
-
-    _, paths = four_tiles
-    vrt = write_vrt(tmp_path / "a.vrt", [(paths[0], 0, 0)], -9999)
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with RasterSource(vrt) as source:
-        first_free = os.open(os.devnull, os.O_RDONLY)
-        os.close(first_free)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (first_free, limits[1]))
-        try:
-            with pytest.raises(StorageError, match=r"Too many open files; .*GDAL_MAX_DATASET_POOL"):
-                source.read(0, 0, 40, 60)
-        finally:
-            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_vertical_datum_that_one_raster_names_is_to_be_named_by_the_other(tmp_path, order):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), crs="EPSG:2056")
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, crs="EPSG:2056+5728")
+    words = r"has a vertical datum, LN02 height.*gdal_edit -a_srs EPSG:2056\+5728"
+    with pytest.raises(InvalidHeightsError, match=words):
+        RasterSource([first, second][::order])
 
 
 @pytest.mark.parametrize("lefts", [(179, -180), (-180, 179), (359, 0)])
@@ -449,25 +345,3 @@ def test_a_mosaic_of_both_sides_of_180_says_why_it_is_empty(tmp_path, lefts):
     ]  # fmt: skip
     with pytest.warns(TerrainwaveWarning, match=r"cover .* void: they lie on both sides of 180"):
         RasterSource(paths).close()
-
-
-def test_a_mosaic_with_gaps_elsewhere_does_not_speak_of_180(tmp_path):
-    place = {"crs": "EPSG:4326", "nodata": -1}
-    paths = [
-        write_geotiff(
-            tmp_path / f"{left}.tif", terrain_like(4, 4), **place,
-            transform=Affine(0.25, 0, left, 0, -0.25, 10),
-        )
-        for left in (0, 90)
-    ]  # fmt: skip
-    with pytest.warns(TerrainwaveWarning, match="the rest is void$"):
-        RasterSource(paths).close()
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_a_vertical_datum_that_one_raster_names_is_to_be_named_by_the_other(tmp_path, order):
-    first = tile(tmp_path / "a.tif", terrain_like(4, 4), crs="EPSG:2056")
-    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, crs="EPSG:2056+5728")
-    words = r"has a vertical datum, LN02 height.*gdal_edit -a_srs EPSG:2056\+5728"
-    with pytest.raises(InvalidHeightsError, match=words):
-        RasterSource([first, second][::order])

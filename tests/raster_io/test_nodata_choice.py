@@ -1,13 +1,11 @@
 """The option `nodata`: adds a value to those that a raster declares, replaces or drops them."""
 
-import json
 import warnings
 
 import numpy as np
 import pytest
 import rasterio
 import xarray
-from commands import one_line, run
 from rasterio.transform import Affine
 from strategies import write_geotiff
 
@@ -76,28 +74,6 @@ def test_samples_that_become_heights_are_counted(tmp_path, dtype, choice):
         assert "6 samples are heights" in note
 
 
-def test_only_the_samples_of_the_raster_that_declares_a_value_are_counted(tmp_path):
-    first = tif(tmp_path / "l.tif", HEIGHTS[:, :2], nodata=-1)
-    second = tif(tmp_path / "r.tif", HEIGHTS[:, 2:], left=20)
-    _, said = compressed(tmp_path, [first, second], nodata="only:-9999")
-    assert [one for one in said if ": 4 samples are heights" in one]  # of the two rasters' 6 zeros
-
-
-def test_nothing_is_counted_where_no_sample_has_the_declared_value(tmp_path):
-    path = tif(tmp_path / "a.tif", nodata=7)
-    for choice in ("only:-9999", "none"):
-        assert not [
-            one for one in compressed(tmp_path, path, nodata=choice)[1] if "heights," in one
-        ]
-
-
-def test_an_added_value_is_noted_with_what_marks_voids_in_the_file(tmp_path):
-    _, said = compressed(tmp_path, tif(tmp_path / "a.tif"), nodata=-9999)
-    assert [one for one in said if "0 marks voids too; the file marks all of them by -9999" in one]
-    _, said = compressed(tmp_path, tif(tmp_path / "b.tif", nodata=-9999), nodata=-9999)
-    assert said == []
-
-
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
 @pytest.mark.parametrize("choice", [-9999, "only:-9999", "none"], ids=str)
 def test_masks_stay_voids(tmp_path, choice):
@@ -141,27 +117,6 @@ def test_patch_counts_heights_that_a_newer_raster_declares_void(tmp_path):
 def test_other_texts_are_refused(wrong):
     with pytest.raises(InvalidArgumentError, match="expected a number, or nan, only:NUMBER or non"):
         RasterSource(np.zeros((2, 2)), nodata=wrong)
-
-
-def test_commands_take_all_forms(tmp_path):
-    path, file = tif(tmp_path / "a.tif"), tmp_path / "a.twz"
-    for text, stored in (("-9999", -9999), ("only:-9999", -9999), ("none", None)):
-        made = run("compress", path, file, "--max-error", "0", "--nodata", text, "--overwrite")
-        assert made.exit_code == 0, made.stderr
-        assert ("6 samples are heights" in made.stderr) == (text != "-9999")
-        assert json.loads(run("info", file, "--json").stdout)["nodata"] == stored
-        assert run("verify", file, path, "--nodata", text).exit_code == 0
-    refused = run("compress", path, file, "--nodata", "only:x", "--overwrite")
-    assert "only:NUMBER or none" in one_line(refused, 2)
-
-
-def test_a_tag_of_voids_that_nodata_names_is_not_noted(tmp_path):
-    path = tif(tmp_path / "a.tif", nodata=None)
-    with rasterio.open(path, "r+") as dataset:
-        dataset.update_tags(1, missing_value="-9999")
-    with pytest.warns(TerrainwaveWarning, match="count as heights"):
-        RasterSource(path).close()
-    RasterSource(path, nodata=-9999).close()
 
 
 @pytest.mark.parametrize("given", ["only:70000", "only:0.5", 70000])

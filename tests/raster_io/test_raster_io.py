@@ -32,15 +32,13 @@ from strategies import (
     write_geotiff,
 )
 
-from terrainwave.cache import Cache
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
     StorageError,
     TerrainwaveWarning,
 )
-from terrainwave.place import crs as crs_texts
-from terrainwave.place.crs import format_crs, is_exact, parse_crs
+from terrainwave.place.crs import format_crs, parse_crs
 from terrainwave.raster_io.geotiff.sink import TILE, RasterSink
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
@@ -222,21 +220,6 @@ def test_codes_of_inner_parts_of_a_custom_crs_are_kept():
     assert parse_crs(format_crs(custom)).to_wkt() == custom.to_wkt()
 
 
-def test_proj_is_asked_once_about_a_crs_and_about_each_that_says_something_else(monkeypatch):
-    asked = []
-    say = crs_texts._say
-    monkeypatch.setattr(crs_texts, "_say", lambda crs: asked.append(crs) or say(crs))
-    monkeypatch.setattr(crs_texts, "_SAID", Cache(8))
-    first = CRS.from_epsg(32633)
-    renamed = CRS.from_wkt(first.to_wkt().replace("WGS 84 / UTM zone 33N", "zone"))
-    for crs, n_asked in ((first, 1), (CRS.from_epsg(32633), 1), (renamed, 2)):
-        assert format_crs(crs) is not None
-        assert is_exact(crs)
-        assert len(asked) == n_asked
-    assert format_crs(first) == "EPSG:32633"
-    assert "zone" in format_crs(renamed)
-
-
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 128}])
 def test_striped_and_tiled_sources_are_read_alike(tmp_path, layout):
     heights = terrain_like(300, 1100)
@@ -263,15 +246,6 @@ def test_nan_is_void_beside_a_numeric_nodata(tmp_path):
     with RasterSource(path) as source:
         assert source.info.mask_kind == "nodata"
         assert read_all(source)[1].tolist() == [[True, False, False]]
-
-
-def test_alpha_band_makes_voids_and_is_no_second_band(tmp_path):
-    layers = np.array([[[5, 6, 7]], [[255, 0, 1]]], dtype="uint8")
-    path = write_geotiff(tmp_path / "a.tif", layers, photometric="MINISBLACK", alpha="yes")
-    with RasterSource(path) as source:
-        assert source.notes == ()
-        assert source.info.mask_kind == "mask"
-        assert read_all(source)[1].tolist() == [[True, False, True]]
 
 
 def test_float32_nodata_of_few_digits_matches_its_stored_value(tmp_path):
@@ -360,16 +334,6 @@ def test_unsupported_type_gets_advice(dtype, advice):
         RasterSource(np.zeros((2, 2), dtype))
 
 
-def test_complex_heights_are_refused():
-    with pytest.raises(InvalidHeightsError, match="complex128, which is not supported"):
-        RasterSource(np.zeros((2, 2), complex))
-
-
-def test_something_else_is_refused():
-    with pytest.raises(InvalidHeightsError, match=r"found \{\}, expected a path"):
-        RasterSource({})
-
-
 class FakeDataArray:
     """The part of xarray.DataArray that is used, as xarray itself is no dependency."""
 
@@ -390,50 +354,6 @@ class FakeDataArray:
         return FakeDataArray(self.values.T, dims, self.coords, self.attrs)
 
 
-def coord(values):
-    return SimpleNamespace(values=np.asarray(values), attrs={})
-
-
-def test_data_array_gives_heights_transform_and_attributes():
-    array = FakeDataArray(
-        terrain_like(3, 4)[np.newaxis],
-        ("band", "y", "x"),
-        {
-            "y": coord([50.0, 40.0, 30.0]),
-            "x": coord([105.0, 115.0, 125.0, 135.0]),
-            "spatial_ref": SimpleNamespace(attrs={"crs_wkt": CRS.from_epsg(32611).to_wkt()}),
-        },
-        {"_FillValue": np.int16(-1), "units": "m", "scale_factor": 0.5, "long_name": "z"},
-    )
-    source = RasterSource(array)
-    assert source.info == RasterInfo(
-        3,
-        4,
-        "int16",
-        nodata=-1,
-        crs="EPSG:32611",
-        transform=(10.0, 0.0, 100.0, 0.0, -10.0, 55.0),
-        units="m",
-        scale=0.5,
-        description="z",
-        mask_kind="nodata",
-    )
-    np.testing.assert_array_equal(source.read(1, 1, 2, 3)[0], array.values[0, 1:, 1:])
-
-
-def test_data_array_with_columns_first_is_turned():
-    values = terrain_like(3, 4)
-    source = RasterSource(FakeDataArray(values, ("lon", "lat")))
-    np.testing.assert_array_equal(read_all(source)[0], values.T)
-    assert source.info.transform == RasterInfo(1, 1, "int16").transform
-
-
-def test_data_array_takes_rioxarrays_geotransform():
-    reference = SimpleNamespace(attrs={"GeoTransform": "100.0 10.0 1.0 55.0 2.0 -10.0"})
-    array = FakeDataArray(terrain_like(3, 4), ("y", "x"), {"spatial_ref": reference})
-    assert RasterSource(array).info.transform == (10.0, 1.0, 100.0, 2.0, -10.0, 55.0)
-
-
 # --- scanning ----------------------------------------------------------------------------------
 
 
@@ -450,21 +370,6 @@ def test_scan_covers_the_grid_once_in_bounded_windows(shape, block, max_samples)
         assert 1 <= n_rows * n_cols <= max_samples
         count[row : row + n_rows, col : col + n_cols] += 1
     assert (count == 1).all()
-
-
-def test_tiled_source_is_scanned_in_whole_tiles():
-    source = RasterSource(np.zeros((100, 1000), "uint8"))
-    source._backend.block_shape = (32, 32)
-    windows = list(source.blocks(32 * 320))
-    assert windows[0] == (0, 0, 32, 320)
-    assert windows[3] == (0, 960, 32, 40)
-    assert {w.row for w in windows} == {0, 32, 64, 96}
-
-
-def test_striped_source_is_scanned_in_whole_strips():
-    source = RasterSource(np.zeros((100, 1000), "uint8"))
-    source._backend.block_shape = (8, 1000)
-    assert next(source.blocks(20_000)) == (0, 0, 16, 1000)
 
 
 def test_many_threads_read_the_same_heights(tmp_path):
@@ -487,11 +392,6 @@ def test_many_threads_read_the_same_heights(tmp_path):
         for thread in threads:
             thread.join()
     assert not wrong
-
-
-def test_window_outside_the_raster_is_a_mistake_of_the_caller():
-    with pytest.raises(ValueError, match="not inside"):
-        RasterSource(np.zeros((3, 3))).read(0, 1, 3, 3)
 
 
 # --- what the source says ----------------------------------------------------------------------
@@ -536,16 +436,6 @@ def test_open_dataset_is_read_and_left_open(tmp_path):
         assert not dataset.closed
     with pytest.raises(InvalidHeightsError, match="closed"):
         RasterSource(dataset)
-
-
-def test_missing_file_is_named(tmp_path):
-    with pytest.raises(StorageError, match=r"nowhere\.tif: no such file"):
-        RasterSource(tmp_path / "nowhere.tif")
-
-
-def test_directory_is_named(tmp_path):
-    with pytest.raises(StorageError, match="is a directory"):
-        RasterSource(tmp_path)
 
 
 def test_text_file_is_no_raster(tmp_path):
@@ -631,14 +521,6 @@ def test_damaged_metadata_are_rejected(change):
         RasterInfo.from_metadata(fields)
 
 
-@pytest.mark.parametrize("crs", ["EPSG:nonsense", "FOO:12", "GEOGCS[", "", "+proj=utm"])
-def test_bad_crs_is_a_warning_where_it_is_used(crs):
-    info = RasterInfo.from_metadata(RasterInfo(1, 1, "int16", crs=crs).to_metadata())
-    with pytest.warns(TerrainwaveWarning, match="reference system is ignored"):
-        assert info.rasterio_crs() is None
-    assert parse_crs(None) is None
-
-
 def test_crs_from_a_file_fetches_no_url():
     requests = []
     with socketserver.TCPServer(("127.0.0.1", 0), None) as server:
@@ -651,17 +533,6 @@ def test_crs_from_a_file_fetches_no_url():
 
 
 # --- writing -----------------------------------------------------------------------------------
-
-
-def test_output_is_tiled_and_compressed(tmp_path):
-    heights = np.zeros((1100, 1100), "float32")
-    path = write_all(
-        tmp_path / "a.tif", RasterInfo(1100, 1100, "float32"), heights, heights == heights
-    )
-    profile = read_geotiff(path)[2]
-    assert (profile["blockxsize"], profile["blockysize"], profile["tiled"]) == (512, 512, True)
-    assert profile["compress"] == "deflate"
-    assert path.stat().st_size < 20_000
 
 
 def test_existing_target_is_refused_without_overwrite(tmp_path):
@@ -707,23 +578,6 @@ def test_a_full_disk_ends_a_sink_of_several_threads_at_once(tmp_path, monkeypatc
         sink.write(0, 0, heights, valid)
     sink.abort()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_target_made_meanwhile_is_not_replaced(tmp_path):
-    path = tmp_path / "a.tif"
-    sink = RasterSink(path, RasterInfo(2, 2, "int16"))
-    path.write_bytes(b"mine")
-    with pytest.raises(StorageError, match="already exists"):
-        sink.close()
-    assert path.read_bytes() == b"mine"
-    assert file_names(tmp_path) == ["a.tif"]
-
-
-def test_directory_and_missing_directory_are_refused_as_target(tmp_path):
-    with pytest.raises(StorageError, match="not a regular file"):
-        RasterSink(tmp_path, RasterInfo(2, 2, "int16"))
-    with pytest.raises(StorageError, match="no directory"):
-        RasterSink(tmp_path / "missing" / "a.tif", RasterInfo(2, 2, "int16"))
 
 
 def test_target_that_cannot_fit_is_refused_at_once(tmp_path):
@@ -783,19 +637,6 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind, threa
     assert "StorageError" in run.stderr
     assert "Traceback" not in run.stderr
     assert file_names(tmp_path) == []
-
-
-def test_symbolic_link_keeps_pointing_at_the_new_file(tmp_path):
-    (tmp_path / "real.tif").write_bytes(b"old")
-    link = tmp_path / "link.tif"
-    try:
-        link.symlink_to("real.tif")
-    except OSError:
-        pytest.skip("no right to make symbolic links here")
-    ones = np.ones((2, 2), "int16")
-    write_all(link, RasterInfo(2, 2, "int16"), ones, ones == 1, overwrite=True)
-    assert link.is_symlink()
-    np.testing.assert_array_equal(read_geotiff(tmp_path / "real.tif")[0], ones)
 
 
 # --- cloud-optimised GeoTIFF -------------------------------------------------------------------

@@ -5,12 +5,10 @@ import warnings
 import pytest
 import rasterio
 import rasterio.shutil
-import rioxarray
 from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 from strategies import terrain_like, write_geotiff
 
-import terrainwave
 from terrainwave.raster_io.source import RasterSource
 
 DEPEND = "its heights depend on the windows that are read"
@@ -66,20 +64,6 @@ def test_warped_vrts_are_noted_also_below_others(dem):
         assert "gdalwarp -et 0" in note
 
 
-def test_a_list_of_warped_vrts_is_noted_once(dem):
-    inner = written("warped.vrt", dem)
-    (note,) = notes_of([inner, inner])
-    assert note.startswith("warped.vrt and 1 more: ")
-
-
-def test_a_warped_vrt_object_is_noted_with_its_own_remedy(dem):
-    with warped(dem) as vrt:
-        (note,) = notes_of(vrt)
-        assert "tolerance=0" in note
-        with WarpedVRT(vrt, crs="EPSG:4326", tolerance=0) as outer:
-            assert len(notes_of(outer)) == 1
-
-
 def test_exact_warps_and_plain_mosaics_are_not_noted(dem):
     exact = written("exact.vrt", dem, tolerance=0)
     plain = nested("plain.vrt", dem, ' resampling="bilinear"')
@@ -98,35 +82,3 @@ def test_sources_that_are_resampled_with_weights_are_noted(dem):
     with open("c.vrt", "w") as file:
         file.write(moved)
     assert "resamples" in notes_of("c.vrt")[0]
-
-
-@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
-def test_arrays_of_xarray_are_noted_unless_they_are_loaded(dem):
-    name = written("warped.vrt", dem)
-    with rioxarray.open_rasterio(name) as array:
-        assert len(notes_of(array)) == 1
-        assert notes_of(array.load()) == []
-    with warped(dem) as vrt, rioxarray.open_rasterio(vrt) as array:
-        assert "tolerance" in notes_of(array)[0]
-
-
-def test_verify_and_patch_note_a_warped_original(dem):
-    name = written("warped.vrt", dem)
-    with pytest.warns(terrainwave.TerrainwaveWarning, match=DEPEND):
-        terrainwave.compress(name, "a.twz", max_error=1, method="rapid")
-    with pytest.warns(terrainwave.TerrainwaveWarning, match=DEPEND):
-        terrainwave.verify("a.twz", name)
-    rasterio.shutil.copy(name, "new.tif", driver="GTiff")
-    with pytest.warns(terrainwave.TerrainwaveWarning, match=DEPEND):
-        terrainwave.patch("a.twz", "new.tif", original=name)
-
-
-def test_a_warp_without_nodata_names_what_sets_it(tmp_path):
-    place = {"crs": "EPSG:32632", "transform": Affine(10, 0, 5e5, 0, -10, 5e6)}
-    path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40, "float32"), **place)
-    with warped(path, tolerance=0) as vrt:
-        rasterio.shutil.copy(vrt, tmp_path / "a.vrt", driver="VRT")
-        with pytest.warns(terrainwave.TerrainwaveWarning, match="WarpedVRT with nodata="):
-            RasterSource(vrt).close()
-    with pytest.warns(terrainwave.TerrainwaveWarning, match="gdalwarp -dstnodata"):
-        RasterSource(tmp_path / "a.vrt").close()

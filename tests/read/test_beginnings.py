@@ -129,15 +129,6 @@ def test_units_that_leave_the_cache_after_the_plan_are_decoded_as_their_children
                 np.testing.assert_array_equal(terrain.quantizer.dequantize(unit.heights), part)
 
 
-def test_a_part_of_a_unit_counts_with_the_memory_that_it_keeps():
-    with Terrain(plain_file(), threads=1, native=False, cache_bytes=1 << 20) as terrain:
-        decoder = terrain.decoder
-        terrain.read((64, 64, 10, 20))
-        unit = decoder.unit(Block(3, 1, 1), {Block(3, 1, 1): Rows(0, 10)})
-        assert unit.rows == (0, 10)
-        assert decoder._cache._size >= 65 * 65 * 4
-
-
 def lone_unit(target=None, **options):
     """Return a group with neighbours, its parent's block, its payload and what that decodes to."""
     target = heights_of((65, 65), seed=4) if target is None else target

@@ -6,7 +6,6 @@ Those marked `native` use the library beside the package, and build it first whe
 import json
 import os
 import pickle
-import re
 import subprocess
 import sys
 import threading
@@ -22,7 +21,6 @@ from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave import native_sources
 from terrainwave.coding import native_library
 from terrainwave.container.sources.byte_source import FileSource
 from terrainwave.errors import (
@@ -413,22 +411,6 @@ def warned_once():
 
 
 @pytest.mark.native
-def test_a_library_of_other_sources_is_told_once_and_not_used(with_library, monkeypatch):
-    built = native_sources.digest_of(ROOT)
-    monkeypatch.setattr(native_sources, "digest_of", lambda root: "0123456789abcdef")
-    note = warned_once()
-    assert f"(found digest {built}, expected 0123456789abcdef)" in note
-    assert note.endswith(f"to build it again: pip install --editable {ROOT}")
-
-
-def test_what_cannot_be_loaded_is_told_once_and_not_used(tmp_path):
-    (tmp_path / "lib.so").write_bytes(b"no library")
-    with found_at(tmp_path / "lib.so"):
-        note = warned_once()
-    assert re.search(r"lib\.so cannot be loaded \(.*\); to replace it: pip install ", note)
-
-
-@pytest.mark.native
 @pytest.mark.full
 def test_another_library_is_told_once_and_not_used(tmp_path):
     source, made = tmp_path / "other.c", tmp_path / "other.so"
@@ -436,22 +418,3 @@ def test_another_library_is_told_once_and_not_used(tmp_path):
     subprocess.run(["cc", "-shared", "-fPIC", "-o", made, source], check=True)
     with found_at(made):
         assert "twz_python_sources" in warned_once()
-
-
-def test_without_a_library_nothing_is_said(tmp_path):
-    data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    with found_at(tmp_path / "none.so"), terrainwave.open(data) as terrain:
-        assert native.installed() is None
-        assert np.array_equal(terrain.read(), HEIGHTS)
-
-
-def test_is_native_says_whether_the_library_reads(monkeypatch, tmp_path):
-    terrainwave.compress(np.zeros((9, 9)), tmp_path / "a.twz")
-    found = {}
-    for library in (None, object()):
-        monkeypatch.setattr(native, "installed", lambda library=library: library)
-        for switch, asked in (("1", True), ("1", False), ("0", True)):
-            monkeypatch.setenv(native_library.SWITCH, switch)
-            with terrainwave.open(tmp_path / "a.twz", native=asked) as terrain:
-                found[library is not None, switch, asked] = terrain.is_native
-    assert {key for key, is_native in found.items() if is_native} == {(True, "1", True)}

@@ -1,9 +1,7 @@
 """Damaged files and files that end too early: what is there is given, and what is lost is named."""
 
-import json
 import pickle
 import random
-import warnings
 
 import numpy as np
 import pytest
@@ -18,12 +16,10 @@ from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.errors import (
     CorruptStreamError,
     TerrainwaveError,
-    TerrainwaveWarning,
     TruncatedStreamError,
 )
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import unit_key
-from terrainwave.read.lost import Lost
 
 METHODS = ("rapid", "predictive", "cdf97", "cdf53", "store")
 HEIGHTS = terrain_like(300, 420)
@@ -175,44 +171,6 @@ def test_decompress_names_what_is_lost(whole, tmp_path):
         assert np.array_equal(raster.read(1)[valid], heights[valid])
 
 
-@pytest.mark.few(1)
-def test_json_has_what_is_lost(whole, tmp_path):
-    run, target = CliRunner().invoke, str(tmp_path / "a.tif")
-    options = ["--on-error", "mask", "--json"]
-    done = run(main, ["decompress", str(damaged(whole)), target, *options])
-    said = json.loads(done.stdout)
-    with Terrain(damaged(whole), on_error="mask") as terrain, rasterio.open(target) as raster:
-        terrain.read()
-        # Whole blocks next to a damaged one have the samples on its border.
-        void = np.mean(raster.read_masks(1) == 0)
-        assert 0 < void <= said["lost"]["share"] < 1.1 * void
-        parts = [Lost(part["level"], tuple(part["window"]), part["problem"])
-                 for part in said["lost"]["parts"]]  # fmt: skip
-        assert parts == terrain.lost
-    assert said["lost"]["missing_bytes"] == 0
-    assert said["notes"] == [line.removeprefix("note: ") for line in done.stderr.splitlines()]
-    assert "% of the samples" in said["notes"][-1]
-    done = run(main, ["decompress", str(whole), target, *options, "--overwrite"])
-    assert (json.loads(done.stdout)["lost"], done.stderr) == (None, "")
-    done = run(main, ["decompress", str(whole), target, "--json", "--overwrite"])
-    assert "lost" not in json.loads(done.stdout)
-
-
-def test_json_of_a_batch_and_python_have_what_a_cut_file_lacks(whole, tmp_path):
-    part = cut(whole, whole.stat().st_size - 7)
-    words = ["decompress", str(part), "--to", str(tmp_path / "out"), "--on-error", "mask"]
-    said = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
-    found = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TerrainwaveWarning)
-        terrainwave.decompress(part, tmp_path / "a.tif", on_error="mask", on_lost=found.append)
-    (losses,) = found
-    assert said["lost"] == json.loads(json.dumps(losses.to_dict()))
-    assert losses.missing_bytes == 7
-    # All of a file whose last page is cut.
-    assert 0 < losses.share <= 1
-
-
 def test_verify_lists_what_is_damaged(whole):
     told = CliRunner().invoke(main, ["verify", str(damaged(whole))])
     assert told.exit_code == 1
@@ -223,11 +181,3 @@ def test_verify_lists_what_is_damaged(whole):
     assert told.exit_code == 1
     assert f"the file has {n_bytes // 2:,} of its {n_bytes:,} bytes" in told.output
     assert told.output.rstrip().endswith("not ok")
-
-
-def test_a_pickled_container_of_a_cut_file_knows_what_is_missing(whole):
-    n_bytes = whole.stat().st_size
-    with terrainwave.open(cut(whole, n_bytes - 5), on_error="mask") as terrain:
-        again = pickle.loads(pickle.dumps(terrain.container))
-        assert again.n_missing == terrain.container.n_missing == 5
-        again.close()

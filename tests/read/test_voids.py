@@ -1,20 +1,16 @@
 """Samples of coarse levels are void where the full grid is; what has no voids says so."""
 
-import json
-
 import numpy as np
 import pytest
 import rasterio
 import reference
 from cases import some
-from click.testing import CliRunner
 from conformance.editor import Editor
 from containers import open_container
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 
 NODATA = -32768
@@ -153,18 +149,6 @@ def test_early_reads_leave_fills_out():
             np.testing.assert_array_equal(found.valid, reference.level_mask(VALID, shift))
 
 
-def test_other_voids_are_refused():
-    with terrainwave.open(made(), threads=1) as terrain:
-        for action in (
-            lambda: terrain.read(voids="all"),
-            lambda: terrain.read(level=-2, voids="all", out_shape=(3, 3)),
-            lambda: terrain.read_with_mask(voids=True),
-            lambda: terrain.sample([(5.0, 5.0)], voids="fill"),
-        ):
-            with pytest.raises(InvalidArgumentError, match="expected exact or any"):
-                action()
-
-
 @pytest.mark.large
 @pytest.mark.parametrize("kind", some(["mask", "nan", "nodata"], 3))
 def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
@@ -193,23 +177,3 @@ def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
             np.testing.assert_array_equal(found, expected)
     with pytest.raises(InvalidArgumentError, match="voids 'lowest', which is for height tiles"):
         terrainwave.decompress(file, tmp_path / "other.tif", level=-2, voids="lowest")
-
-
-def test_the_command_line_shows_voids(tmp_path):
-    source, file, target = tmp_path / "dem.tif", tmp_path / "dem.twz", tmp_path / "level.tif"
-    write_geotiff(source, HEIGHTS, nodata=NODATA)
-
-    def run(*arguments):
-        done = CliRunner().invoke(main, [*map(str, arguments)])
-        assert done.exit_code == 0, done.output + done.stderr
-        return done.stdout
-
-    run("compress", source, file, "--max-error", 2, "--block", 32, "--no-mesh")
-    assert json.loads(run("info", file, "--json"))["has_voids"] is True
-    for voids in (None, "exact", "any"):
-        options = [] if voids is None else ["--voids", voids]
-        run("decompress", file, target, "--level=-2", "--overwrite", *options)
-        with rasterio.open(target) as dataset:
-            found = dataset.read_masks(1) > 0
-        expected = reference.level_mask(VALID, 1) if voids == "any" else VALID[::2, ::2]
-        np.testing.assert_array_equal(found, expected)

@@ -270,25 +270,6 @@ def mu(request):
     return request.node.callspec.params["paper_scene"] or 0.5
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"detail": 1.0}, "expected error 'paper'"),
-        ({"detail": -1.0, "error": "paper"}, "expected a finite number > 0"),
-        ({"order": 3}, "expected 2 or 4"),
-        ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
-        ({"stepwise": True}, "expected mode dynamic or vertex-texture"),
-        ({"tree": 32}, "expected mode dynamic or vertex-texture"),
-        ({"tree": 24, "mode": "dynamic"}, "found tree 24, expected a power of two, 2 … 256"),
-        ({"tree": 512, "mode": "vertex-texture"}, "found tree 512, expected a power of two"),
-    ],
-)
-def test_options_that_a_mode_does_not_have_are_refused(options, words):
-    heights = np.zeros((40, 40), dtype=np.int16)
-    with terrain_of(heights, block=32) as terrain, pytest.raises(InvalidArgumentError, match=words):
-        Scene(terrain, ListStore(), **{"mode": "batched", **options})
-
-
 def levels_of(scene, nodes):
     """Return the paper's levels, 0 the finest."""
     return scene.mode.n_levels - 1 - scene.table.keys[nodes, 0]
@@ -364,7 +345,20 @@ def test_all_blocks_in_view_are_loaded_breadth_first_once_the_needed_are_here():
             assert set(scene.store.patches) == before
 
 
-def test_nothing_is_decoded_before_a_block_is_wanted():
-    with terrain_of(np.round(hills(150, 140, 5)).astype(np.int16), block=32) as terrain:
-        with Scene(terrain, ListStore(), mode="batched"):
-            assert not len(terrain.decoder._cache)
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"detail": 1.0}, "expected error 'paper'"),
+        ({"detail": -1.0, "error": "paper"}, "expected a finite number > 0"),
+        ({"order": 3}, "expected 2 or 4"),
+        ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
+        ({"stepwise": True}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 32}, "expected mode dynamic or vertex-texture"),
+        ({"tree": 24, "mode": "dynamic"}, "found tree 24, expected a power of two, 2 … 256"),
+        ({"tree": 512, "mode": "vertex-texture"}, "found tree 512, expected a power of two"),
+    ],
+)
+def test_options_that_a_mode_does_not_have_are_refused(options, words):
+    heights = np.zeros((40, 40), dtype=np.int16)
+    with terrain_of(heights, block=32) as terrain, pytest.raises(InvalidArgumentError, match=words):
+        Scene(terrain, ListStore(), **{"mode": "batched", **options})

@@ -12,20 +12,15 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import (
     Camera,
     Viewport,
-    along,
-    fly,
     format_camera,
     gamma_guaranteed,
     gamma_paper,
     home,
-    look,
-    orbit,
     parse_camera,
     project,
     projection_matrix,
     top_view,
     view_matrix,
-    zoom,
 )
 from terrainwave.render.scene.frame import Frame
 
@@ -181,68 +176,3 @@ def test_the_first_view_holds_the_whole_box_below_some_sky(box, size):
     assert max((x.max() - x.min()) / 0.96, (y.max() - y.min()) / 0.83) > 0.999
     assert (x.max() + x.min()) / 2 == pytest.approx(0.5, abs=1e-3)
     assert (y.max() + y.min()) / 2 == pytest.approx((0.15 + 0.98) / 2, abs=1e-3)
-
-
-def test_the_first_view_of_a_square_fills_the_picture_both_ways_and_looks_north():
-    high = np.array(BOXES["square"]) / 2
-    camera = home((-high, high), Viewport(1280, 853))
-    x, y, _ = project(camera, Viewport(1280, 853), corners_of(-high, high)).T
-    assert (x.max() - x.min()) / 1280 > 0.95
-    assert (y.max() - y.min()) / 853 > 0.82
-    assert camera.heading == 0
-
-
-@pytest.mark.parametrize(
-    ("box", "size", "heading"),
-    [("long", (1280, 853), 0), ("planet", (1280, 853), 0), ("wide", (400, 1200), 270)],
-)
-def test_a_very_wide_raster_is_looked_along(box, size, heading):
-    high = np.array(BOXES[box]) / 2
-    assert home((-high, high), Viewport(*size)).heading == heading
-
-
-@pytest.mark.parametrize(
-    ("heights", "exaggeration", "detail"),
-    [
-        # A fiftieth of the diagonal, 7 km, is 140 m.
-        ((0.0, 900.0), 1.0, 1.0), ((0.0, 14.0), 1.0, 0.1), ((0.0, 14.0), 5.0, 0.5),
-        ((7.0, 7.0), 1.0, 1.0), ((0.0, 1e-6), 1.0, 1 / 256),
-    ],
-)  # fmt: skip
-def test_flat_terrains_are_drawn_in_more_detail(heights, exaggeration, detail):
-    frame = replace(UTM, sample_matrix=(42.0, 0.0, 0.0, 0.0, -42.105263, 0.0), heights=heights,
-                    shape=(134, 101), exaggeration=exaggeration)  # fmt: skip
-    assert frame.detail(np.array([0, 0, 1e5])) == pytest.approx(detail, rel=1e-3)
-    assert frame.detail(np.array([0, 0, frame.box[0][2] + 10])) >= detail
-
-
-def test_flying_moves_along_the_cameras_axes():
-    camera = fly(Camera((0, 0, 0), 90, 0), right=1, up=2, forward=3)
-    np.testing.assert_allclose(camera.position, (3, -1, 2), atol=1e-12)
-
-
-@given(camera=cameras, turn=steps(-90, 90), tilt=steps(-30, 30))
-def test_orbiting_keeps_the_pivot_in_its_pixel(camera, turn, tilt):
-    pivot = camera.eye + camera.forward * 500 + camera.axes[0] * 50
-    turned = orbit(camera, pivot, turn, tilt)
-    before, after = (project(c, VIEWPORT, pivot[None])[0] for c in (camera, turned))
-    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-3)
-
-
-def test_zooming_goes_towards_the_point():
-    camera = zoom(Camera((0, 0, 100.0)), np.zeros(3), 0.25)
-    assert camera.position == (0, 0, 25)
-
-
-def test_looking_stops_before_the_poles():
-    assert look(Camera((0, 0, 0), 350, 80), 20, 30).heading == pytest.approx(10)
-    assert look(Camera((0, 0, 0), 350, 80), 20, 30).pitch < 90
-
-
-def test_a_flight_goes_through_its_keys_the_shorter_way_round():
-    keys = [Camera((0, 0, 0), 350), Camera((10, 0, 0), 10), Camera((10, 10, 0), 90)]
-    for number, key in enumerate(keys):
-        found = along(keys, number / 2)
-        np.testing.assert_allclose(found.position, key.position, atol=1e-12)
-        assert found.heading == pytest.approx(key.heading)
-    assert along(keys, 0.25).heading == pytest.approx(0)

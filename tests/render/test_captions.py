@@ -5,12 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from render.scenes import LOUD, hills, terrain_of
+from render.scenes import hills, terrain_of
 
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
-from terrainwave.render.scene.camera import Camera, home, project
+from terrainwave.render.scene.camera import home
 from terrainwave.render.window.pictures import caption, fly_through
 
 SIZE = (200, 150)
@@ -54,13 +54,6 @@ def jagged():
         yield terrain
 
 
-@pytest.fixture
-def close():
-    """A terrain without voids."""
-    with terrain_of(np.round(hills(90, 110, 1)).astype(np.int16), max_error=0) as terrain:
-        yield terrain
-
-
 def seen_from_the_side(canvas):
     return home(canvas.scene.frame.solid_box, canvas.viewport)
 
@@ -94,75 +87,6 @@ def test_no_caption_says_less_than_a_gpu_draws(context):
         ((_, drawn),) = fly_through(canvas, [camera], 1, Style(), 1.0, measure=True)
     assert drawn["caption"] == "within 0.00391 pixels"
     assert drawn["measured_pixel_error"] <= drawn["max_pixel_error"] == 1 / 256
-
-
-@pytest.mark.gl
-@pytest.mark.large
-@pytest.mark.parametrize("mode", ALL)
-def test_flaps_hang_neither_before_walls_nor_below_the_base(context, jagged, mode):
-    """What shows in a pixel is ground, within τ, or a skirt through a hole, no deeper than it may.
-
-    By the depth buffer: no further from what the samples around a place lie between.
-    """
-    heights, tau = jagged.read(masked=True), 4.0
-    with Canvas(jagged, SIZE, mode=mode, samples=0, context=context) as canvas:
-        frame, camera = canvas.scene.frame, seen_from_the_side(canvas)
-        canvas.draw(camera, Style(), max_pixel_error=tau)
-        pixels, places = canvas.places_seen()
-        assert len(places) > 2000
-        assert places[:, 2].min() > frame.base
-        rows, cols = (np.floor(at).astype(int) for at in frame.samples_at(places[:, :2]))
-        low, high = np.full(len(rows), np.inf), np.full(len(rows), -np.inf)
-        for down in (-1, 0, 1, 2):
-            for across in (-1, 0, 1, 2):
-                at = np.clip(rows + down, 0, 89), np.clip(cols + across, 0, 109)
-                low = np.minimum(low, heights[at].filled(32767))
-                high = np.maximum(high, heights[at].filled(-32768))
-        known = low < high
-        places[:, 2] = np.clip(places[:, 2], low, high)
-        away = project(camera, canvas.viewport, places[known])[:, :2] - pixels[known]
-        far, kept = np.linalg.norm(away, axis=1), max(canvas.kept_error, tau)
-        # In a wall's plane there are no holes to look through.
-        is_at_wall = frame.samples_at(places[known][:, :2])[0] > 88.95
-        assert (far[is_at_wall] <= kept).all()
-        assert far.max() <= 4 * kept
-
-
-@pytest.mark.gl
-@pytest.mark.large
-@pytest.mark.parametrize("pitch", [-12.0, -35.0, -60.0])
-def test_no_hatch_runs_along_the_foot_of_walls(context, close, pitch):
-    """Nothing is void here: the floor's greys show nowhere."""
-    with Canvas(close, SIZE, context=context) as canvas:
-        low, high = canvas.scene.frame.solid_box
-        middle, reach = (low + high) / 2, 1.4 * float(np.linalg.norm(high - low))
-        for heading in (0.0, 30.0, 200.0):
-            camera = Camera((0.0, 0.0, 0.0), heading, pitch, 40.0)
-            camera = Camera(tuple(middle - reach * camera.forward), heading, pitch, 40.0)
-            style = Style(background=LOUD, coloring="flat", shade=0.0, haze=0.0)
-            image = canvas.picture(camera, style)[0].astype(int)
-            assert ((image != LOUD).any(axis=2)).sum() > 1500
-            # Grey, as no mean of wall, ground and background is.
-            is_grey = (np.ptp(image, axis=2) < 6) & (image[..., 0] > 140)
-            assert not is_grey.any()
-
-
-@pytest.mark.gl
-@pytest.mark.large
-def test_heights_as_drawn_are_those_of_the_file_at_its_samples(context, jagged):
-    """All of them, in mode full; where all is void, there are none."""
-    heights = jagged.read(masked=True)
-    with Canvas(jagged, SIZE, mode="full", context=context) as canvas:
-        canvas.draw(seen_from_the_side(canvas), Style())
-        region = canvas.samples_in_view()
-        assert (region.row, region.col) == (0, 0)
-        assert region.shape == heights.shape
-        for drawn in canvas.drawn_heights(region, Style()):
-            inner = drawn[1:-1, 1:-1], heights[1:-1, 1:-1]
-            is_there = ~np.isnan(inner[0]) & ~inner[1].mask
-            assert is_there.sum() > 0.95 * (~inner[1].mask).sum()
-            np.testing.assert_allclose(inner[0][is_there], inner[1][is_there].data, atol=1.01)
-            assert np.isnan(drawn[25:30, 55:70]).all()
 
 
 @pytest.mark.gl

@@ -11,8 +11,7 @@ from terrainwave.render.gpu.vertex_texture_surface import VERTEX_SHADER
 from terrainwave.render.look.style import Style
 from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.modes.vertex_texture import VertexTexture
-from terrainwave.render.scene.camera import Camera, top_view
+from terrainwave.render.scene.camera import top_view
 
 # What these modes compile takes a minute.
 pytestmark = [
@@ -96,58 +95,6 @@ def test_no_gap_shows_with_trees_of_any_size(context, gentle, monkeypatch, mode,
             assert eroded(~loud(reference), 3).sum() > 300
             assert (loud(image) & eroded(~loud(reference), 3)).sum() == 0
             assert camera is not above or (~loud(image) & eroded(loud(reference), 1)).sum() == 0
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, mode):
-    """On the way, with what stands in for others, and when all is here: levels side by side."""
-    style = Style(background=LOUD, coloring="flat")
-    options = {"samples": 0, "context": context}
-    with (
-        Canvas(gentle, SIZE, mode="full", **options) as full,
-        Canvas(gentle, SIZE, mode=mode, n_workers=1, **options) as coarse,
-    ):
-        counts, levels = set(), set()
-        for camera in low_flight(full.scene, 3):
-            reference, _ = full.picture(camera, style)
-            for settle in (False, False, False, True):
-                image, _ = coarse.picture(camera, style, max_pixel_error=2.0, settle=settle)
-                shown = {patch.piece for patch in coarse.scene.mode.shown}
-                inside = eroded(~loud(reference), 3 if settle else 12)
-                assert inside.sum() > 300
-                assert not shown or (loud(image) & inside).sum() == 0
-                counts.add(len(shown))
-                coarse.scene._pager.wait(5)
-            levels |= {piece.level for piece in shown}
-        assert len(counts) > 3
-        assert len(levels) > 2
-
-
-def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(
-    context, gentle, small_patches, monkeypatch
-):
-    """From below the ground they hang in view. By what the depth buffer holds.
-
-    Of the same patches, each drawn alone.
-    """
-    monkeypatch.setattr(Dynamic, "arrange", VertexTexture.arrange)
-    monkeypatch.setattr(
-        "terrainwave.render.modes.dynamic.draw_together",
-        lambda parts, eye: [part.mesh.draw(eye, part.followed) for part in parts],
-    )
-    pictures, skirts = [], []
-    for mode in ("dynamic", "vertex-texture"):
-        with Canvas(gentle, SIZE, mode=mode, samples=0, context=context) as canvas:
-            low, high = canvas.scene.frame.box
-            x, y = (0.7 * low + 0.3 * high)[:2].tolist()
-            camera = Camera((x, y, float(low[2]) - 20), 40, 5, 50)
-            frames = canvas.draw(camera, Style(background=LOUD), max_pixel_error=8.0)
-            depths = canvas.framebuffer.read(components=1, attachment=-1, dtype="f4")
-            pictures.append(np.frombuffer(depths, dtype=np.float32))
-            skirts.append(frames.skirts)
-    np.testing.assert_allclose(*skirts)
-    assert (skirts[0] > 1).all()
-    assert (np.abs(pictures[0] - pictures[1]) > 1e-5).mean() < 0.01
 
 
 @pytest.mark.parametrize("error", ["measured", "paper"])

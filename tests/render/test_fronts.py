@@ -1,7 +1,6 @@
 """Modes whose mesh is made anew each frame: what is drawn, what is read."""
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home, project
-from terrainwave.render.scene.selection import Piece
 
 # What these modes compile takes a minute.
 pytestmark = [pytest.mark.full, pytest.mark.large]
@@ -103,16 +101,6 @@ def test_coefficients_are_refused_where_there_are_none(small):
             Scene(small, ListStore(), mode=mode, error="coefficient")
 
 
-@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
-def test_a_larger_tau_draws_fewer_triangles(small, mode):
-    with Scene(small, ListStore(), mode=mode) as scene:
-        camera = home(scene.frame.box, VIEWPORT)
-        counts = [
-            scene.settle(scene.view(camera, VIEWPORT, tau)).n_triangles for tau in (1.0, 8.0, 60.0)
-        ]
-        assert counts[0] > counts[1] > counts[2] > 0
-
-
 @pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
 def test_triangles_keep_to_their_limit_and_tau_says_so(small, mode):
     with Scene(small, ListStore(), mode=mode, max_triangles=300) as scene:
@@ -152,28 +140,6 @@ def test_nothing_pops(small, mode):
         assert 0 < fine < 0.5  # without a morph: 4
 
 
-@pytest.mark.parametrize("mode", ["dynamic", "vertex-texture"])
-def test_steps_change_one_height_a_frame_and_what_they_keep_is_said(small, mode):
-    with Scene(small, ListStore(), mode=mode, stepwise=True, exaggeration=1.5) as scene:
-        low, high = scene.frame.box
-        far = Camera((0.0, 0.0, float(high[2]) + 1e6), 0, -90, 40)
-        near = Camera((0.0, float(low[1]), float(high[2]) + 500), 0, -50, 60)
-        scene.settle(scene.view(far, VIEWPORT, 1.5))
-        view, kept, counts = scene.view(near, VIEWPORT, 1.5), [], []
-        while not kept or scene.mode.followed[0].n_changed:
-            frames = scene.update(view)
-            kept.append(frames.tau)
-            counts.append(scene.mode.followed[0].n_vertices)
-            if mode == "dynamic":
-                assert largest_error(scene, near, 7) <= frames.tau
-        # From roots of trees to samples, and a frame in which nothing changes.
-        assert len(kept) == scene.mode.tree.bit_length()
-        assert kept[0] > 20 * kept[-1]
-        assert kept[-1] == 1.5
-        assert kept == sorted(kept, reverse=True)
-        assert all(after <= 4 * before for before, after in pairwise(counts))
-
-
 # Patches that come and go
 
 
@@ -183,26 +149,6 @@ def low_flight(scene, n_steps):
     for share in np.linspace(0.25, 0.75, n_steps):
         x, y = low[:2] + share * (high - low)[:2]
         yield Camera((float(x), float(y), float(high[2]) + 100), 720 * share % 360, -20, 40)
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_from_high_up_one_patch_is_drawn_and_near_the_ground_the_full_grid(
-    gentle, small_patches, mode
-):
-    """What a patch is replaced by comes from coarse to fine, and it stands in for it."""
-    with Scene(gentle, ListStore(), mode=mode) as scene:
-        scene.settle(scene.view(Camera((0.0, 0.0, 1e6), 0, -90, 50), VIEWPORT, 1.0))
-        (top,) = scene.mode.shown
-        assert top.region.shape == gentle.grid.level_shape(0)
-        low, high = scene.frame.box
-        corner = Camera((float(low[0]), float(low[1]), float(high[2]) + 100), 45, -20, 40)
-        view = scene.view(corner, VIEWPORT, 2.0)
-        assert scene.update(view).n_missing > 0
-        assert scene.mode.shown == [top]
-        scene.settle(view)
-        levels = [patch.piece.level for patch in scene.mode.shown]
-        assert levels[0] == gentle.n_levels - 1 > levels[-1]
-        assert 10 < len(scene.store.patches) < 60
 
 
 @pytest.mark.parametrize("mode", ["dynamic", "rqt"])
@@ -317,34 +263,6 @@ def test_patches_of_one_level_are_one_mesh(gentle, small_patches, monkeypatch, t
     assert 0.4 * n_alone < n_joined < 0.95 * n_alone
 
 
-def test_meshes_end_only_where_the_level_changes(gentle, small_patches):
-    """In view and inside the outline: half a tree at most from a border between two levels."""
-    n_ends = 0
-    with Scene(gentle, ListStore(), mode="dynamic") as scene:
-        for camera in low_flight(scene, 4):
-            scene.settle(scene.view(camera, VIEWPORT, 3.0))
-            edges = open_edges(scene)
-            edges = edges[are_inside_and_in_view(scene, camera, edges)]
-            n_ends += len(edges)
-            patches = [(patch, cells_of(scene, patch)) for patch in scene.mode.shown]
-            for ends in edges[..., :2]:
-                near = {
-                    patch.piece.level
-                    for patch, (low, high, spacing) in patches
-                    if (np.maximum(low - ends, ends - high).max(axis=1) < 2.6 * spacing).any()
-                }
-                assert len(near) > 1
-    assert n_ends > 50
-
-
-def cells_of(scene, patch):
-    """Corners of the samples that are a patch's own, local metres, and the metres between them."""
-    cells, stride = scene.mode.cells, scene.terrain.grid.stride(patch.piece.level)
-    rows, cols = ((np.array([k, k + 1]) * cells) * stride for k in patch.piece[1:3])
-    xy = scene.frame.samples_to_local(rows, cols)
-    return xy.min(axis=0), xy.max(axis=0), scene.frame.spacing * stride
-
-
 def parts_of(mode):
     """The mesh of each patch."""
     starts = mode.first_vertices
@@ -363,22 +281,6 @@ def skirts_of(part):
         yield x, y, z, depth
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_patches_keep_to_their_limit_on_a_flight_and_tau_says_so(gentle, small_patches, mode):
-    n_most = 12
-    with Scene(gentle, ListStore(max_blocks=n_most), mode=mode, exaggeration=1.5) as scene:
-        seen, taus = set(), set()
-        for camera in low_flight(scene, 5):
-            frames = scene.settle(scene.view(camera, VIEWPORT, 1.0))
-            assert len(scene.mode._patches) == len(scene.store.patches) <= n_most
-            taus.add(frames.tau)
-            if mode != "vertex-texture":  # the GPU makes its mesh
-                assert largest_error(scene, camera, 301) <= frames.tau
-            seen |= set(scene.mode._patches)
-        assert len(seen) > 1.5 * n_most
-        assert 1.0 < max(taus) < 100.0
-
-
 def test_a_raster_of_one_row_draws_nothing():
     heights = np.arange(9, dtype=np.int16)[None]
     with terrain_of(heights, max_error=0) as terrain:
@@ -386,15 +288,3 @@ def test_a_raster_of_one_row_draws_nothing():
             with Scene(terrain, ListStore(), mode=mode) as scene:
                 view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT)
                 assert scene.settle(view).n_triangles == 0
-
-
-def test_patches_that_do_not_meet_are_joined_apart():
-    """What lies between patches that are far apart would take time and memory in each frame."""
-    places = [(3, 0, 0), (3, 0, 1), (3, 2, 2), (3, 40, 40), (2, 0, 0), (3, 41, 39)]
-    shown = [SimpleNamespace(piece=Piece(*place, 0)) for place in places]
-    order = [4, 0, 1, 2, 3, 5]
-    mode = SimpleNamespace(shown=shown, apron=32, cells=256)
-    assert list(Dynamic._that_meet(mode, order)) == [[4], [0, 1, 2], [3, 5]]
-    wide = SimpleNamespace(shown=shown, apron=512, cells=256)  # rings of the largest trees
-    assert list(Dynamic._that_meet(wide, [0, 3])) == [[0], [3]]
-    assert list(Dynamic._that_meet(wide, [0, 2])) == [[0, 2]]

@@ -11,7 +11,7 @@ from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, project
-from terrainwave.render.scene.horizon import OVERLAP, SIDE, Horizon, floors_of
+from terrainwave.render.scene.horizon import OVERLAP, SIDE, floors_of
 
 VIEWPORT = Viewport(640, 400)
 HEIGHTS = np.round(hills(400, 500, 3, 2000.0)).astype(np.int16)
@@ -144,18 +144,6 @@ def test_from_below_from_beside_and_where_errors_do_not_hold_nothing_is_hidden(
         assert not scene._horizon(view, camera).slopes.size
 
 
-@pytest.mark.large
-def test_above_the_ground_there_is_a_horizon(mountains):
-    scene, view = settled(mountains)
-    with scene:
-        scene.settle(view)
-        horizon = scene._horizon(view, view.camera)
-        assert np.isfinite(horizon.slopes).any()
-        assert (horizon.slopes[1:] >= horizon.slopes[:-1]).all()
-        down = replace(view.camera, pitch=-80.0)
-        assert not scene._horizon(view, down).slopes.size
-
-
 def test_floors_are_the_least_heights_of_cells_and_what_is_around_them():
     heights = np.random.default_rng(3).uniform(0, 100, (70, 67))
     heights[33, 21] = -np.inf
@@ -171,19 +159,3 @@ def test_floors_are_the_least_heights_of_cells_and_what_is_around_them():
     assert floors["cols"][0, 0] == 0
     assert floors["cols"][-1, 1] == 62 + OVERLAP
     assert 1 <= np.isinf(floors["heights"]).sum() <= 9
-
-
-def test_no_horizon_hides_nothing():
-    assert Horizon.none().slopes.shape == (0, 0)
-
-
-@pytest.mark.gl
-@pytest.mark.large
-def test_wireframes_are_seen_through(context, mountains):
-    with Canvas(mountains, (320, 200), samples=0, context=context) as canvas:
-        camera = low_cameras(canvas.scene.frame, 9)[8]
-        counts = [
-            len(canvas.picture(camera, Style(wireframe=wireframe))[1].nodes)
-            for wireframe in (False, True, False)
-        ]
-        assert counts[0] == counts[2] < counts[1]

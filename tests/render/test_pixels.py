@@ -4,17 +4,12 @@ These need EGL and an OpenGL 3.3 driver, such as Mesa's (see tools/install_syste
 they fail.
 """
 
-import threading
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from cases import some
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
-from terrainwave.errors import TerrainwaveError
 from terrainwave.raster_io.drape import Drape
-from terrainwave.render.gpu import patch_surface
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.scene.camera import Camera, home, project, top_view
@@ -110,32 +105,6 @@ def test_voids_are_as_in_the_full_terrain(context, with_voids, mode):
         assert (~loud(image) & eroded(loud(reference))).sum() == 0
 
 
-def test_shades_agree_across_borders_of_one_level(context):
-    """On a smooth surface, whose shade hardly changes from pixel to pixel."""
-    rows, cols = np.mgrid[0:129, 0:129]
-    smooth = (400 * np.sin(rows / 40) * np.cos(cols / 45)).astype(np.float32)
-    with terrain_of(smooth, max_error=0.01, mesh_error=4.0) as terrain:
-        with Canvas(terrain, (516, 516), samples=0, context=context) as canvas:
-            camera = top_view(canvas.scene.frame.box, canvas.viewport)
-            style = Style(coloring="plain", haze=0, background=LOUD)
-            view = canvas.scene.view(camera, canvas.viewport, 0.5)
-            image, frames = canvas.picture(camera, style, max_pixel_error=0.5)
-            pieces = [canvas.scene.table.pieces[node] for node in frames.nodes.tolist()]
-            assert len({piece.level for piece in pieces}) == 1
-            assert len(pieces) == 16
-            grey = image.astype(int)
-            # Second differences: a step at a border would stand out from the slow change.
-            for k in (1, 2, 3):
-                xy = canvas.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
-                column = round(
-                    float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0])
-                )
-                band = grey[40:-40, column - 4 : column + 4]
-                steps = np.diff(band, axis=1)
-                assert np.abs(np.diff(steps, axis=1)).max() <= 2
-                assert np.abs(steps).max() <= 3
-
-
 def waves(rows, cols):
     """Return heights and their slopes to the east and north, of 30 m samples."""
     heights = 200 * np.sin(rows / 11) * np.cos(cols / 9)
@@ -190,21 +159,6 @@ def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exag
             assert n_seen > 80
 
 
-def test_drawing_block_by_block_gives_the_same_picture(context, rough, monkeypatch):
-    """What a driver without indirect draws (OpenGL 3.3, macOS) does."""
-    style = Style()
-    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
-        camera = home(canvas.scene.frame.box, canvas.viewport)
-        image, frames = canvas.picture(camera, style)
-        assert canvas.surface.is_indirect
-        assert canvas.renderer.n_draw_calls == 1
-    monkeypatch.setattr(patch_surface, "_INDIRECT_VERSION", 1000)
-    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
-        again, _ = canvas.picture(camera, style)
-        assert canvas.renderer.n_draw_calls == len(frames.nodes)
-        np.testing.assert_array_equal(image, again)
-
-
 def test_a_picture_is_the_same_each_time(context, rough):
     images = []
     for n_workers in (1, 3):
@@ -212,60 +166,6 @@ def test_a_picture_is_the_same_each_time(context, rough):
             camera = home(canvas.scene.frame.box, canvas.viewport)
             images.append(canvas.picture(camera, Style())[0])
     np.testing.assert_array_equal(*images)
-
-
-def test_a_picture_of_an_impossible_size_leaves_no_threads(context, rough):
-    before = threading.active_count()
-    with pytest.raises(TerrainwaveError, match="pixels"):
-        Canvas(rough, (10**6, 1), context=context)
-    assert threading.active_count() == before
-
-
-@pytest.mark.full
-def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
-    with Canvas(rough, SIZE, context=context, max_bytes=64 << 20) as canvas:
-        rng = np.random.default_rng(2)
-        sizes = []
-        for _ in range(12):
-            canvas.picture(random_camera(rng, canvas.scene.frame), Style(), max_pixel_error=0.3)
-            sizes.append(canvas.store.n_bytes)
-        assert max(sizes) <= 64 << 20
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize(
-    "coloring", ["auto", "relative", "ramp", "slope", "textured", "level", "error", "plain"]
-)
-def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
-    with Canvas(rough, SIZE, samples=0, context=context) as canvas:
-        camera = home(canvas.scene.frame.box, canvas.viewport)
-        style = Style(coloring=coloring, background=LOUD)
-        image, _ = canvas.picture(camera, style)
-        terrain = image[~loud(image)]
-        assert len(terrain) > 3000
-        assert len(np.unique(terrain, axis=0)) > 50
-
-
-def test_textures_are_grainy_and_of_rock_where_it_is_steep(context):
-    level = np.zeros((64, 64), dtype=np.int16)
-    steep = level + (30 * np.arange(64, dtype=np.int16))[:, None]
-    saturation, spread = [], []
-    for heights in (level + np.arange(64, dtype=np.int16)[:, None], steep):
-        with (
-            terrain_of(heights, max_error=0) as terrain,
-            Canvas(terrain, SIZE, samples=0, context=context) as canvas,
-        ):
-            style = Style(coloring="textured", background=LOUD, shade=0, haze=0, solid=False)
-            camera = top_view(canvas.scene.frame.box, canvas.viewport)
-            image, _ = canvas.picture(camera, style)
-            colors = image[eroded(~loud(image), 2)].astype(float)
-            saturation.append(np.median(np.ptp(colors, axis=1) / colors.max(axis=1)))
-            plain = canvas.picture(camera, replace(style, coloring="auto"))[0][
-                eroded(~loud(image), 2)
-            ]
-            spread.append(colors.mean(axis=1).std() / plain.mean(axis=1).std())
-    assert saturation[1] < 0.6 * saturation[0]
-    assert min(spread) > 1.2
 
 
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])

@@ -58,19 +58,6 @@ def test_damaged_pieces_are_counted_and_never_asked_for_again(world, problems):
     assert problems.lines() == ["1 damaged block drawn coarser"]
 
 
-def test_a_silent_server_has_a_line_while_something_is_asked_for(world, problems):
-    world.now += 7
-    assert problems.lines(n_missing=2) == ["waiting for the server: nothing for 7 s"]
-    assert problems.lines(n_missing=0) == []
-    assert problems.lines(n_missing=2) == []
-
-
-def test_without_retries_what_the_server_does_not_send_is_like_damaged():
-    problems = Problems()
-    problems.add("a", LOST)
-    assert problems.damaged == {"a": "cannot read a: refused"}
-
-
 @pytest.fixture
 def held(monkeypatch):
     """Servers answer while `replies` is set; `asked` is set when a request waits for that."""

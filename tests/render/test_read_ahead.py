@@ -7,9 +7,9 @@ from render.scenes import ListStore, hills, terrain_of
 
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.paging.read_ahead import Descent, ReadAhead, _Wish, units_of_piece
+from terrainwave.render.paging.read_ahead import Descent, ReadAhead, units_of_piece
 from terrainwave.render.paging.scene import Scene
-from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.render.scene.camera import Viewport, home
 from terrainwave.render.scene.selection import Piece
 
 VIEWPORT = Viewport(480, 320)
@@ -88,27 +88,3 @@ def fetched_for(scene, view, here):
     assert done.wait(30)
     descent.close()
     return fetched
-
-
-def test_what_reads_ahead_of_a_long_flight_forgets_the_way(monkeypatch):
-    heights = np.round(hills(600, 800, 5)).astype(np.int16)
-    with (
-        terrain_of(heights, max_error=0, block=32) as terrain,
-        Scene(terrain, ListStore()) as scene,
-    ):
-        patient, descent = (Descent(scene.mode, lambda _: None, lambda one: [one]) for _ in "ab")
-        low, high = scene.frame.box
-        n_known = []
-        for across, along in np.ndindex(3, 10):
-            x, y = low[:2] + (high - low)[:2] * (0.05 + 0.1 * along, 0.2 + 0.3 * across)
-            camera = Camera((float(x), float(y), float(high[2])), 90.0, -75.0)
-            wish = _Wish(scene.view(camera, VIEWPORT, 2.0), 2.0, lambda _: False)
-            expected = patient._pieces(wish)
-            monkeypatch.setattr("terrainwave.render.paging.read_ahead._MOST_KNOWN", 60)
-            assert set(descent._pieces(wish)) == set(expected)
-            monkeypatch.undo()
-            n_known.append(descent._table.n_known)
-        assert patient._table.n_known > 200
-        assert max(n_known) < 140
-        for one in (patient, descent):
-            one.close()

@@ -242,30 +242,6 @@ def test_what_is_drawn_covers_every_valid_cell_in_view_once(original_and_terrain
             assert missing.sum() <= (0 if valid.all() else 0.2 * seen.sum())
 
 
-def test_borders_of_one_level_have_equal_slopes_and_a_parent_close_by(original_and_terrain):
-    _, _, terrain = original_and_terrain
-    grid = terrain.grid
-    with Scene(terrain, ListStore()) as scene:
-        builder = scene.mode.builder
-        for level in range(terrain.n_levels):
-            slopes = {block: builder.slopes(block) for block in grid.blocks(level)}
-            n_compared = 0
-            for block, here in slopes.items():
-                beside = slopes.get(block._replace(col=block.col + 1))
-                if beside is not None:
-                    n = grid.block_region(block).n_rows + 2
-                    # The shared column and one on each side of it.
-                    at = slice(grid.block, grid.block + 3)
-                    np.testing.assert_array_equal(here[:n, at], beside[:n, :3])
-                    n_compared += 1
-                below = slopes.get(block._replace(row=block.row + 1))
-                if below is not None:
-                    n = grid.block_region(block).n_cols + 2
-                    at = slice(grid.block, grid.block + 3)
-                    np.testing.assert_array_equal(here[at, :n], below[:3, :n])
-            assert n_compared > 0 or len(slopes) < 3
-
-
 def test_slopes_are_those_of_a_plane():
     rows, cols = np.mgrid[0:70, 0:90]
     plane = (3.0 * cols - 6.0 * rows).astype(np.float32)  # 30 m pixels, rows to the south
@@ -326,26 +302,6 @@ def test_memory_keeps_to_its_limit_on_a_flight_and_parents_stand_in():
         assert len(frames.nodes)
 
 
-def test_a_full_store_raises_tau_rather_than_wait_for_ever():
-    heights = np.round(hills(200, 200, 8)).astype(np.int16)
-    store = ListStore(max_blocks=12)
-    store.put = lambda node, patch, put=store.put: len(store.patches) < 9 and put(node, patch)
-    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store) as scene:
-        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
-        frames = scene.settle(view, timeout=60)
-        assert frames.tau > 0.5
-
-
-def test_what_would_not_be_kept_does_not_keep_what_is_wanted_waiting(monkeypatch):
-    monkeypatch.setattr("terrainwave.render.paging.scene._MOST_ASKED", 1)
-    heights = np.round(hills(300, 300, 8)).astype(np.int16)
-    with terrain_of(heights, max_error=0) as terrain:
-        with Scene(terrain, ListStore(max_blocks=20)) as scene:
-            view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
-            scene.settle(view, timeout=20)
-            assert scene.table.is_resident[scene._needed].all()
-
-
 def test_a_store_that_holds_no_block_at_all_is_an_error_rather_than_a_wait_for_ever():
     store = ListStore()
     store.put = lambda node, patch: False
@@ -377,42 +333,6 @@ def test_what_the_camera_flies_to_is_read_ahead():
             scene.update(view)
             assert scene._pager.wait(30)
         assert scene.table.is_resident[list(later)].all()
-
-
-def test_the_error_drawn_is_that_of_what_could_be_finer():
-    heights = np.round(hills(300, 300, 9)).astype(np.int16)
-    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
-        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0)
-        frames = scene.update(view)
-        for _ in range(3):  # the root is here, nothing finer
-            assert scene._pager.wait(30)
-            frames = scene.update(view)
-            if len(frames.nodes):
-                break
-        assert frames.nodes.tolist() == [0]
-        errors = scene.table.errors[[0]] * scene.table.scales(view, frames.nodes)
-        assert scene.drawn_error(view, frames) == pytest.approx(errors[0])
-        assert errors[0] > 2.0
-        frames = scene.settle(view)
-        assert 0 < scene.drawn_error(view, frames) <= 2.0
-        near = scene.view(Camera((0.0, 0.0, heights.max() + 5.0), 0, -80, 40), VIEWPORT, 0.01)
-        assert scene.drawn_error(near, scene.settle(near)) == 0  # the finest, however large it is
-
-
-def test_a_camera_at_rest_or_that_has_jumped_is_going_nowhere():
-    now = [0.0]
-    motion = Motion(lambda: now[0])
-    for now[0] in (0.0, 0.1, 0.2, 0.3):
-        motion.see(Camera((0.0, 0.0, 50.0)))
-    assert motion.ahead() == []
-    for now[0] in (0.4, 0.5, 0.6, 0.7):
-        motion.see(Camera((100 * now[0], 0.0, 50.0), heading=(350 + 50 * now[0]) % 360))
-    soon = motion.ahead()
-    assert [round(camera.position[0]) for camera in soon] == [95, 145, 220, 370]
-    assert soon[1].heading == pytest.approx((350 + 50 * 1.45) % 360)
-    now[0] = 0.8
-    motion.see(Camera((90_000.0, 0.0, 50.0)))
-    assert motion.ahead() == []
 
 
 def test_a_damaged_block_is_drawn_coarser_and_named():
@@ -472,3 +392,13 @@ def test_a_long_flight_keeps_few_pieces_known_and_draws_the_same(monkeypatch):
                 assert max(n_known) < 450
                 assert len(scene.table) < 450
     assert n_drawn > 100
+
+
+def test_a_full_store_raises_tau_rather_than_wait_for_ever():
+    heights = np.round(hills(200, 200, 8)).astype(np.int16)
+    store = ListStore(max_blocks=12)
+    store.put = lambda node, patch, put=store.put: len(store.patches) < 9 and put(node, patch)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store) as scene:
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
+        frames = scene.settle(view, timeout=60)
+        assert frames.tau > 0.5

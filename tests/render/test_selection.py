@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from terrainwave.render.gpu.arena import Arena
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length, project
 from terrainwave.render.scene.frustum import frustum_planes, may_see
-from terrainwave.render.scene.select_kernels import oriented_distance, pixels_per_metre
+from terrainwave.render.scene.select_kernels import pixels_per_metre
 from terrainwave.render.scene.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
 
 VIEWPORT = Viewport(640, 480)
@@ -164,26 +164,6 @@ def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(pitch
     assert largest > 0.98  # the last of them is hardly more than it has to be
 
 
-def test_oriented_errors_are_those_of_the_formula():
-    """The largest h / (h² + v²) of a box: at its side, where h = v, and at its far corner."""
-    eye = np.zeros(3)
-    assert oriented_distance(eye, 5.0, 0.0, -3.0, 9.0, 0.0, -1.0) == pytest.approx(26 / 5)
-    assert oriented_distance(eye, -9.0, 0.0, -8.0, 9.0, 0.0, -4.0) == pytest.approx(8.0)
-    assert oriented_distance(eye, 0.0, 0.0, -99.0, 3.0, 4.0, -20.0) == pytest.approx(425 / 5)
-    assert oriented_distance(eye, 0.0, 0.0, 10.0, 0.0, 0.0, 20.0) == np.inf
-    assert oriented_distance(eye, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0) == 0
-
-
-def test_seen_from_above_oriented_errors_need_fewer_triangles():
-    table = random_tree(np.random.default_rng(8), share_resident=1.0)
-    camera = Camera((0, 0, 3000), 0, -90, 20)
-    free, oriented = (
-        table.select(View(camera, VIEWPORT, 0.5, is_oriented=is_oriented))
-        for is_oriented in (False, True)
-    )
-    assert oriented.n_triangles < free.n_triangles / 2
-
-
 def test_the_coarsest_levels_are_whole_or_not_at_all():
     table = random_tree(np.random.default_rng(3), share_resident=0.5)
     levels = table.keys[: len(table), 0]
@@ -208,14 +188,6 @@ def test_what_is_wanted_comes_breadth_first_with_its_ancestors():
     # Once all of it is here, the selection needs nothing that was not wanted.
     table.is_resident[wanted] = True
     assert set(table.select(view).nodes.tolist()) <= set(wanted)
-
-
-def test_what_another_camera_will_want_is_what_it_wants_there():
-    table = random_tree(np.random.default_rng(5), share_resident=0.0)
-    here = View(Camera((0, -600, 200), 0, -20, 60), VIEWPORT, 1.0, is_exact=True)
-    there = View(Camera((0, -600, 200), 0, -60, 60), VIEWPORT, 1.0, is_exact=True)
-    found, expected = table.wanted(here, 1000, camera=there.camera), table.wanted(there, 1000)
-    assert found.tolist() == expected.tolist() != table.wanted(here, 1000).tolist()
 
 
 def test_eviction_takes_leaves_with_the_lowest_priority_first():
@@ -252,27 +224,6 @@ def test_slow_frames_raise_tau_and_fast_ones_lower_it_to_what_was_asked():
     for _ in range(200):
         governor.after_frame(2)
     assert governor.factor == 1.0
-
-
-def test_around_the_eye_an_error_is_huge_on_screen_and_none_is_none():
-    table = NodeTable()
-    for number, error in enumerate((0.0, 2.0)):
-        table.add(NodeInfo(Piece(0, number, 0), (-9, -9, -9), (9, 9, 9), error, 1.0))
-    view = View(Camera((0.0, 0.0, 0.0)), Viewport(100, 100))
-    assert table.on_screen(view, table.roots).tolist() == [0.0, 2e12]
-
-
-def test_the_table_grows_without_losing_anything():
-    table = NodeTable()
-    root = table.add(NodeInfo(Piece(0, 0, 0), (0, 0, 0), (1, 1, 1), 5.0, 1.0))
-    for number in range(1000):
-        info = NodeInfo(Piece(1, number, 0), (number, 0, 0), (number + 1, 1, 1), number, 1.0)
-        assert table.add(info, root) == number + 1
-    assert table.errors[:1001].tolist() == [5.0, *range(1000)]
-    assert table.find(Piece(1, 77, 0)) == 78
-    assert table.roots.tolist() == [0]
-    assert table.coarse_nodes(1000).tolist() == [0]  # whole levels
-    assert table.coarse_nodes(1001).tolist() == list(range(1001))
 
 
 @given(sizes=st.lists(st.integers(0, 40), max_size=60), seed=st.integers(0, 9))

@@ -13,7 +13,7 @@ from terrainwave.render.look.style import Style
 from terrainwave.render.paging.background import Background
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
-from terrainwave.render.scene.measure import Ruler, read_profile, with_bound
+from terrainwave.render.scene.measure import Ruler, read_profile
 from terrainwave.render.window.controls import Controls
 from terrainwave.render.window.ground import Ground
 from terrainwave.render.window.pictures import read_flight
@@ -133,14 +133,6 @@ def test_pictures_and_flights_are_saved_under_names_of_their_own(stage, tmp_path
     assert cameras[0].position != cameras[2].position
 
 
-def test_settings_name_what_was_asked_for_and_what_is(stage):
-    found = dict(stage.session.settings(stage.frames, 64 << 20, 512 << 20))
-    assert found["mode"] == "adaptive, error measured"
-    assert found["memory"] == "64 of 512 MiB on the GPU"
-    assert found["threads"] == "2 read and decode"
-    assert found["pixel error"].startswith("1 asked")
-
-
 def test_the_ground_is_that_of_the_level_drawn_and_the_last_known_beside_the_raster(stage):
     background = Background()
     ground = Ground(stage.scene.terrain, stage.scene.table, background, clock=lambda: clock[0])
@@ -162,62 +154,6 @@ def test_the_ground_is_that_of_the_level_drawn_and_the_last_known_beside_the_ras
     background.close()
 
 
-def test_a_flight_that_cannot_be_saved_is_a_line_and_not_the_end(terrain, tmp_path):
-    stage = Stage(terrain, tmp_path / "gone")
-    stage.press("f", "f")
-    assert "gone" in stage.said[-1]
-    assert stage.session.lines(stage.frames) == [stage.said[-1]]
-    stage.session.close()
-    stage.scene.close()
-
-
-def test_degrees_are_measured_on_the_ellipsoid():
-    heights = np.zeros((40, 40), dtype=np.int16)
-    heights[0, 0] = 1
-    with terrain_of(heights, pixel=0.5, corner=(0, 70), crs="EPSG:4326", max_error=0) as terrain:
-        profile = read_profile(terrain, Ruler(terrain), [(1.0, 60.0), (2.0, 60.0), (2.0, 61.0)])
-    # A degree along the parallel and the meridian at 60 degrees (WGS 84): 55,800 m, 111,412 m.
-    first = int(np.argmax(profile.places[:, 1] > 60.0)) - 1
-    assert profile.distances[first] == pytest.approx(55_800, abs=2)
-    assert profile.horizontal - profile.distances[first] == pytest.approx(111_421, abs=12)
-
-
-@pytest.mark.parametrize(
-    ("bound", "text"),
-    [(0.5, "1234.50 m ± 0.50 m"), (0, "1234.50 m ± 0 m"), (12, "1234 m ± 12 m")],
-)
-def test_heights_have_the_digits_of_their_bound(bound, text):
-    assert with_bound(1234.5, bound, "m") == text
-
-
-def test_the_graph_of_a_profile_lies_below_on_the_left(stage):
-    profile = read_profile(
-        stage.scene.terrain, Ruler(stage.scene.terrain), [(500015, 5199085), (502200, 5199085)]
-    )
-    image = draw_overlay(Viewport(640, 480), Camera((0, 0, 0)), [], None, None, profile)
-    yellow = np.argwhere((image[..., 0] == 255) & (image[..., 2] == 64))
-    assert yellow[:, 0].min() > 320
-    assert yellow[:, 1].max() < 520
-    rising = [yellow[yellow[:, 1] == col, 0].mean() for col in (100, 400)]
-    assert rising[0] > rising[1]
-
-
-def test_a_long_help_fits_a_small_window():
-    lines = [(f"key {number}", "what it does, in some words") for number in range(26)]
-    image = draw_overlay(Viewport(480, 360), Camera((0, 0, 0)), [], None, lines)
-    words = np.argwhere((image[..., 0] > 150) & (image[..., 1] > 120) & (image[..., 2] < 150))
-    assert len(words)
-    assert (words.min(axis=0) > 10).all()
-    assert words.max(axis=0)[0] < 350
-
-
-def test_a_line_has_gaps_where_it_is_behind_the_eye_and_dots_at_its_ends():
-    pixels = np.array([(10.0, 10.0), (20.0, 10.0), (np.nan, np.nan), (30.0, 20.0)])
-    corners = line_triangles(pixels, VIEWPORT)
-    assert corners.shape == (3 * (2 + 2 * 2), 2)
-    assert line_triangles(np.full((2, 2), np.nan), VIEWPORT).shape == (0, 2)
-
-
 def test_background_work_has_ended_when_it_is_closed():
     """What it reads is closed next."""
     background = Background(1)
@@ -235,3 +171,48 @@ def test_background_work_has_ended_when_it_is_closed():
     may_end.set()
     background.close()
     assert ended == [True]
+
+
+def test_the_graph_of_a_profile_lies_below_on_the_left(stage):
+    profile = read_profile(
+        stage.scene.terrain, Ruler(stage.scene.terrain), [(500015, 5199085), (502200, 5199085)]
+    )
+    image = draw_overlay(Viewport(640, 480), Camera((0, 0, 0)), [], None, None, profile)
+    yellow = np.argwhere((image[..., 0] == 255) & (image[..., 2] == 64))
+    assert yellow[:, 0].min() > 320
+    assert yellow[:, 1].max() < 520
+    rising = [yellow[yellow[:, 1] == col, 0].mean() for col in (100, 400)]
+    assert rising[0] > rising[1]
+
+
+def test_a_line_has_gaps_where_it_is_behind_the_eye_and_dots_at_its_ends():
+    pixels = np.array([(10.0, 10.0), (20.0, 10.0), (np.nan, np.nan), (30.0, 20.0)])
+    corners = line_triangles(pixels, VIEWPORT)
+    assert corners.shape == (3 * (2 + 2 * 2), 2)
+    assert line_triangles(np.full((2, 2), np.nan), VIEWPORT).shape == (0, 2)
+
+
+def test_a_long_help_fits_a_small_window():
+    lines = [(f"key {number}", "what it does, in some words") for number in range(26)]
+    image = draw_overlay(Viewport(480, 360), Camera((0, 0, 0)), [], None, lines)
+    words = np.argwhere((image[..., 0] > 150) & (image[..., 1] > 120) & (image[..., 2] < 150))
+    assert len(words)
+    assert (words.min(axis=0) > 10).all()
+    assert words.max(axis=0)[0] < 350
+
+
+def test_settings_name_what_was_asked_for_and_what_is(stage):
+    found = dict(stage.session.settings(stage.frames, 64 << 20, 512 << 20))
+    assert found["mode"] == "adaptive, error measured"
+    assert found["memory"] == "64 of 512 MiB on the GPU"
+    assert found["threads"] == "2 read and decode"
+    assert found["pixel error"].startswith("1 asked")
+
+
+def test_a_flight_that_cannot_be_saved_is_a_line_and_not_the_end(terrain, tmp_path):
+    stage = Stage(terrain, tmp_path / "gone")
+    stage.press("f", "f")
+    assert "gone" in stage.said[-1]
+    assert stage.session.lines(stage.frames) == [stage.said[-1]]
+    stage.session.close()
+    stage.scene.close()

@@ -1,35 +1,21 @@
 """Where is water? Only where heights say so: level at 0, or below all dry land."""
 
-import warnings
-
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from ext.rasters import write_twz
 from render.scenes import terrain_of
 
-import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.ext.html import picture
 from terrainwave.ext.publish import publish_site
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.catalog import describe
-from terrainwave.globe.lonlat import Globe
 from terrainwave.render.gpu.canvas import Canvas
-from terrainwave.render.look.ramps import absolute_palette, ramp_colors, ramp_stops
 from terrainwave.render.look.style import Style
 from terrainwave.render.look.water import (
     DEEP,
     LAND,
     LEVEL,
-    Water,
     find_water,
-    may_have_water,
-    read_water,
 )
 from terrainwave.render.scene.camera import top_view
-from terrainwave.render.scene.frame import frame_of
 
 SIDE = 120
 COLS = np.broadcast_to(np.arange(SIDE, dtype=float), (SIDE, SIDE))
@@ -71,105 +57,9 @@ def test_water_is_where_heights_say_so(name, is_turned):
     assert {col: cells[60, col] for col in expected} == expected
 
 
-def test_a_coast_beside_voids_is_water_up_to_them():
-    valid = COLS >= 20
-    cells = find_water(np.where(valid, COAST, -9999.0), valid, 0.02)
-    assert (cells[:, 20:60] == LEVEL).all()
-
-
 def test_voids_are_no_depths():
     valid = np.abs(COLS - 60) > 2
     assert not find_water(np.where(valid, VALLEY, -9999.0), valid, 0.02).any()
-
-
-def test_parts_that_only_touch_at_corners_are_two():
-    heights = np.full((60, 60), 50.0)
-    heights[:30, :30], heights[30:, 30:] = -600.0, -80.0
-    cells = find_water(heights, np.ones((60, 60), bool), 0.02)
-    assert (cells[10, 10], cells[50, 50]) == (DEEP, LAND)
-
-
-def test_a_spiral_of_sea_is_one_part():
-    heights = np.full((41, 41), 50.0)
-    row, col, turn = 20, 20, 0
-    for length in np.repeat(np.arange(2, 40, 2), 2):
-        step = [(0, 1), (1, 0), (0, -1), (-1, 0)][turn % 4]
-        for _ in range(length):
-            if 0 <= row < 41 and 0 <= col < 41:
-                heights[row, col] = -30.0
-            row, col = row + step[0], col + step[1]
-        turn += 1
-    heights[20, 20] = -500.0
-    cells = find_water(heights, np.ones((41, 41), bool), 0.02)
-    assert (cells[heights == -30.0] == DEEP).all()
-
-
-@pytest.mark.parametrize(("radius", "has_water"), [(None, True), (3_396_190.0, False)])
-def test_other_bodies_have_no_sea(radius, has_water):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        place = {"crs": "EPSG:4326", "pixel": 0.01, "corner": (10.0, 60.0)}
-        with terrain_of(np.round(SEA_FLOOR).astype(np.int16), max_error=0, **place) as terrain:
-            frame = frame_of(terrain, radius=radius)
-            assert may_have_water(terrain, frame) is has_water
-            assert bool(read_water(terrain, frame).cells.any()) is has_water
-
-
-def test_a_legend_has_the_seas_colours_where_there_is_water():
-    for code, depth, shore in ((LAND, False, False), (LEVEL, False, True), (DEEP, True, True)):
-        lowest = Water(np.array([[code]], np.uint8), 1).lowest(0.5)
-        palette = absolute_palette(-90.0, 500.0, 0.5, None, lowest)
-        low, zero, high = palette.color_of(np.array([-80.0, 0.0, 300.0]), 0).astype(int)
-        assert [color[2] > color[0] + 20 for color in (low, zero, high)] == [depth, shore, False]
-
-
-def test_dry_land_below_the_sea_is_green_and_darker_the_lower():
-    palette = absolute_palette(-440.0, 500.0, 0.0, None, np.inf)
-    colors = palette.color_of(np.array([-430.0, -86.0, -1.0]), 0).astype(int)
-    assert (colors[:, 1] > colors[:, [0, 2]].max(axis=1)).all()
-    assert (np.diff(colors.sum(axis=1)) > 0).all()
-
-
-@pytest.mark.parametrize(
-    ("low", "sea", "has_sea"),
-    [(-430.0, "auto", False), (-4000.0, "auto", True), (-4000.0, None, False), (-30.0, 0.0, True),
-     (-30.0, -50.0, False)],
-)  # fmt: skip
-def test_ramps_have_the_sea_below_all_dry_land_or_where_asked(low, sea, has_sea):
-    first = ramp_colors("tints", low, 900.0, sea).astype(int)[0]
-    assert (first[2] > first[0] + 20) == has_sea
-    heights = [height for height, _ in ramp_stops("tints", low, 900.0, sea)]
-    assert (np.diff(heights) > 0).all()
-
-
-def test_ramp_of_a_sea_without_land_ascends():
-    assert (np.diff([at for at, _ in ramp_stops("tints", -5000.0, -900.0)]) > 0).all()
-
-
-def first_color(described):
-    red, _, blue = bytes.fromhex(described["ramps"]["tints"][0][1][1:])
-    return "blue" if blue > red + 20 else "green"
-
-
-def test_the_page_has_the_sea_that_pictures_have(tmp_path):
-    files = {
-        name: write_twz(tmp_path, np.round(heights).astype(np.int16), (8, 46, 9, 47), name=name)
-        for name, heights in (("valley", VALLEY), ("floor", SEA_FLOOR))
-    }
-    expected = {("valley", "auto"): "green", ("floor", "auto"): "blue", ("valley", 0.0): "blue",
-                ("floor", "none"): "green"}  # fmt: skip
-    for (name, sea), color in expected.items():
-        with terrainwave.open(files[name]) as terrain:
-            assert first_color(describe(name, Globe(terrain), sea_level=sea)) == color
-
-
-def test_a_notebooks_picture_has_land_below_the_sea_and_the_seas_floor(tmp_path):
-    for name, blue in (("valley", []), ("sea floor", [10]), ("sea and valley", [10])):
-        heights = np.round(CASES[name][0]).astype(np.int16)
-        with terrain_of(heights, max_error=0, **PLACE) as terrain:
-            image = picture(terrain)[60].astype(int)
-        is_blue = image[:, 2] > image[:, 0] + 20
-        assert [col for col in (10, 60, 85, 110) if is_blue[col]] == blue, name
 
 
 @pytest.mark.parametrize("sea", ["high", np.nan, np.inf])
@@ -212,24 +102,3 @@ def test_pictures_show_water_where_it_is(context):
     assert blue_columns(VALLEY, 0.0)[60]
     assert not blue_columns(VALLEY, -90.0)[60]
     assert not any(blue_columns(SEA_FLOOR, "none").values())
-
-
-@pytest.mark.gl
-@pytest.mark.large
-def test_the_command_says_that_it_took_depths_for_land(tmp_path):
-    twz = write_twz(tmp_path, np.round(VALLEY).astype(np.int16), (5e5, 4e6, 503600, 4003600),
-                    "EPSG:32611", units="m")  # fmt: skip
-
-    def notes(*args):
-        command = ["render", str(twz), f"{tmp_path}/a.png", "--overwrite", "--size", "64x64", *args]
-        done = CliRunner().invoke(main, command)
-        assert done.exit_code == 0, done.output
-        return [line for line in done.stderr.splitlines() if "--sea-level" in line]
-
-    (note,) = notes()
-    assert "to 0 are drawn as land" in note
-    assert notes("--sea-level", "0") == notes("--sea-level", "none") == []
-    assert notes("--coloring", "relative") == []
-    wrong = CliRunner().invoke(main, ["render", str(twz), "a.png", "--sea-level", "high"])
-    assert wrong.exit_code == 2
-    assert "found high, expected auto, none or a height" in wrong.stderr

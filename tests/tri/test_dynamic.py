@@ -60,26 +60,11 @@ def test_parents_are_means_and_the_papers_error_is_the_largest_haar_coefficient(
     assert tree.bounds.tolist() == [[3, 1, 11]]
 
 
-def test_boxes_of_the_papers_errors_hold_valid_samples_and_are_finite_where_all_is_void():
-    heights = np.full((4, 4), np.nan)
-    heights[0, 0], heights[0, 3] = 7.0, 9.0
-    tree = build_tree(heights, patch=4, error="paper")
-    assert tree.bounds[:, 1:].tolist() == [[7, 7], [9, 9], [0, 0], [0, 0], [7, 9]]
-
-
 def test_voids_do_not_count_and_nodes_at_an_outline_have_no_error():
     heights = np.array([[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]])
     tree = build_tree(heights, patch=2)
     np.testing.assert_array_equal(tree.z[-2:], [3, np.nan])
     np.testing.assert_array_equal(tree.bounds[:, ERROR], [OUTLINE, 0])
-
-
-def test_a_plane_has_no_measured_error_whatever_its_slope():
-    rows, cols = np.indices((32, 32))
-    tree = build_tree(3.0 * rows - 7.0 * cols, patch=32)
-    inner = tree.bounds[tree.bounds[:, ERROR] != OUTLINE]
-    assert len(inner) > 100
-    assert np.abs(inner[:, ERROR]).max() < 1e-4
 
 
 def test_errors_and_boxes_of_parents_hold_those_of_children():
@@ -161,17 +146,6 @@ def test_following_a_camera_ends_where_marking_all_nodes_does(is_stepwise):
     assert len(n_roots) > 4
 
 
-def test_a_step_changes_one_height_and_settling_all():
-    shape = (16, 16)
-    near, far = Camera((8, -8, 40), 0, -80, 60), Camera((8, -8, 1e7), 0, -80, 60)
-    stepped = DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=16)
-    settled = DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=16)
-    for mesh in (stepped, settled):
-        assert len(mesh.update(eye_of(far), 1.0).vertices) == 1
-    assert len(stepped.update(eye_of(near), 1.0, is_stepwise=True).vertices) == 4
-    assert len(settled.update(eye_of(near), 1.0).vertices) > 16
-
-
 def test_a_view_that_stays_touches_only_what_it_shows():
     """Not the nodes below roots (§3.4): those that are drawn, and the nodes above them."""
     mesh = DynamicMesh(rough((32, 32)), sample_matrix=NORTH_UP, patch=32)
@@ -191,38 +165,6 @@ def test_a_view_that_stays_touches_only_what_it_shows():
     assert counts == (drawn, 0, 0, 0.0)
     assert not mesh.has_changed.any()
     np.testing.assert_array_equal(mesh.marks, before)
-
-
-def test_marks_count_vertices_and_name_the_patches_that_changed():
-    """What the GPU is told instead of a mesh: against marks of all nodes before and after."""
-    shape, patch = (30, 24), 8
-    mesh = DynamicMesh(
-        rough(shape), mask=with_void(shape), sample_matrix=NORTH_UP, patch=patch, error="paper"
-    )
-    some_changed = 0
-    for number, camera in enumerate(cameras(shape, 12, seed=6)):
-        before = marks_by_patch(mesh, shape)
-        mesh.has_changed[...] = False
-        followed = mesh.follow(eye_of(camera), 4.0, is_stepwise=number % 2 == 1)
-        frame = mesh.draw(eye_of(camera), followed)
-        assert followed.n_vertices == len(frame.nodes)
-        changed = (before != marks_by_patch(mesh, shape)).any(axis=2)
-        if number:
-            np.testing.assert_array_equal(mesh.has_changed.astype(bool), changed)
-            some_changed += 0 < changed.sum() < changed.size
-    assert some_changed > 3
-
-
-def marks_by_patch(mesh, shape):
-    """Which nodes lie above roots, by patches: shape (rows, columns, nodes of a patch)."""
-    n_rows, n_cols = (int(n) for n in mesh.tree.layout[-1, 1:])
-    found = []
-    for first, rows, cols in mesh.tree.layout.tolist():
-        marks = mesh.marks[first : first + rows * cols] == INNER
-        side = rows // n_rows
-        marks = marks.reshape(n_rows, side, n_cols, side).swapaxes(1, 2)
-        found.append(marks.reshape(n_rows, n_cols, side * side))
-    return np.concatenate(found, axis=2)
 
 
 # The mesh
@@ -275,20 +217,6 @@ def test_a_mesh_is_watertight_and_covers_the_area_once():
         if len(frame.triangles):
             assert len(frame.vertices) - n_edges + len(frame.triangles) == 1
     assert n_mixed > 2
-
-
-@pytest.mark.parametrize("matrix", [(2, 0, 5, 0, 3, 1), (0, 2, 0, 3, 0, 0), (1, 1, 0, -1, 1, 9)])
-def test_triangles_are_counter_clockwise_and_vertices_placed_by_the_matrix(matrix):
-    heights = rough((8, 8))
-    mesh = DynamicMesh(heights, sample_matrix=matrix, patch=8)
-    frame = mesh.update(eye_of(Camera((8, 8, 20), 0, -90, 120), z_scale=2.0), 1e-6)
-    assert len(frame.vertices) == 64
-    assert (areas(frame) > 0).all()
-    _, rows, cols = frame.nodes.T
-    a, b, c, d, e, f = matrix
-    x, y = a * cols + b * rows + c, d * cols + e * rows + f
-    expected = np.column_stack([x, y, 2 * heights[rows, cols].astype(np.float32)])
-    np.testing.assert_allclose(frame.vertices, expected, rtol=0, atol=1e-12)
 
 
 # Guarantees
@@ -392,6 +320,7 @@ def places_of(frame):
     ]
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("has_void", [False, True])
 @pytest.mark.parametrize("error", ["measured", "paper"])
 def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
@@ -414,6 +343,7 @@ def test_meshes_side_by_side_are_the_mesh_of_the_whole_raster(error, has_void):
     assert len(counts) > 3
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [6, 7, 8]])
 def test_where_a_mesh_is_missing_triangles_are_those_of_the_whole_raster(missing):
     """So they are within the same error: nodes in rings are measured with all around them."""
@@ -436,6 +366,7 @@ def test_where_a_mesh_is_missing_triangles_are_those_of_the_whole_raster(missing
     assert n_found > 300
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("missing", [[4], [0, 4], [1, 3, 5, 7], [0, 1, 2, 3, 5, 6, 7, 8]])
 def test_where_a_mesh_is_missing_the_others_reach_over_its_trees_and_name_where_they_end(missing):
     """No triangle has a neighbour too many; all that the others own is covered once."""
@@ -506,17 +437,7 @@ def test_the_surface_between_samples_counts_half_way_to_those_around():
         assert bound.tolist() == [expected, 0.0, expected]
 
 
-def test_what_heights_are_off_by_counts():
-    mesh, exact = (
-        DynamicMesh(rough((16, 16)), sample_matrix=NORTH_UP, patch=16, base_error=base)
-        for base in (0.5, 0.0)
-    )
-    eye = eye_of(Camera((8, -30, 12), 0, -20, 40))
-    errors, without = (screen_errors(found, eye, 2) for found in (mesh, exact))
-    assert (errors > without).sum() > 4
-    assert (errors >= without).all()
-
-
+@pytest.mark.large
 def test_the_budget_is_kept_and_tau_sinks_again():
     mesh = DynamicMesh(rough((32, 32)), sample_matrix=NORTH_UP, patch=16)
     eye = eye_of(Camera((16, -16, 30), 0, -80, 60))
@@ -529,28 +450,6 @@ def test_the_budget_is_kept_and_tau_sinks_again():
         again = mesh.update(eye, 1.0, max_vertices=1024)
     assert again.tau == 1.0
     assert len(again.vertices) == len(free.vertices)
-
-
-def test_a_budget_that_cannot_be_kept_ends():
-    """The eye is among the heights: nodes around it have no error small enough."""
-    mesh = DynamicMesh(rough((16, 16)), sample_matrix=NORTH_UP, patch=16)
-    frame = mesh.update(eye_of(Camera((8, -8, 3), 0, -20, 60)), 1.0, max_vertices=1)
-    assert len(frame.vertices) > 1
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"tau": 0.0}, "tau"),
-        ({"tau": float("nan")}, "tau"),
-        ({"tau": 1.0, "morph": 0.5}, "morph"),
-        ({"tau": 1.0, "max_vertices": 3}, "per patch: 4"),
-    ],
-)
-def test_options_out_of_range_are_refused(options, words):
-    mesh = DynamicMesh(rough((8, 8)), patch=4)
-    with pytest.raises(InvalidHeightsError, match=words):
-        mesh.update(eye_of(Camera((0, 0, 9))), **options)
 
 
 # Morphs

@@ -127,27 +127,6 @@ def test_meshes_of_every_level_are_right_and_few(kind, void, tmp_path):
 
 @pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_finest_mesh_has_the_errors_of_its_block_and_its_tolerance(kind, tmp_path):
-    case = make_case("smooth", "none", (65, 97), 3, amplitude=900.0, max_error=3, mesh_error=5)
-    case.heights[:, 32:65] = 7
-    case.options |= {"block": 32, "mesh": kind, "method": "store"}
-    path = write_case(case, tmp_path)
-    with terrainwave.open(path) as terrain:
-        finest = terrain.grid.blocks(terrain.n_levels - 1)
-        errors = {block: terrain.mesh_error(block) for block in finest}
-        for block in finest:
-            own = terrain.block_error(block)
-            if block.col == 1:
-                # One height: measured, as no triangulation of it is off by the tolerance.
-                assert errors[block] == own
-            else:
-                # FORMAT.md §4.4: codes of errors up to 8 are exact, and so are 3 + 5.
-                assert errors[block] == own + 5
-    assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
-
-
-@pytest.mark.large
-@pytest.mark.parametrize("kind", KINDS)
 def test_any_number_of_threads_gives_the_same_bytes(kind, tmp_path):
     case = make_case("half sea", "speckle", (150, 140), 5, max_error=1, block=32)
     found = []
@@ -176,26 +155,6 @@ def test_meshes_stored_later_are_those_of_compress(kind, tmp_path):
     store_meshes(plain, halves, mesh="halves")
     store_meshes(path, again, mesh="halves")
     assert again.read_bytes() == halves.read_bytes()
-
-
-@pytest.mark.large
-@pytest.mark.parametrize("kind", KINDS)
-def test_commands_make_check_and_write_meshes(kind, tmp_path):
-    case = make_case("smooth", "none", (90, 100), 3, max_error=2, block=32, mesh="none")
-    path = write_case(case, tmp_path)
-    original = str(tmp_path / "case.tif")
-    made, later = tmp_path / "made.twz", tmp_path / "later.twz"
-    run, name, _, labels = CliRunner().invoke, *kind.partition("-")
-    mesh = ["--mesh", name, *(["-o", f"labels={labels}"] if labels else [])]
-    for arguments in (
-        ["compress", original, str(made), "--max-error", "2", "--block", "32", *mesh],
-        ["mesh", "--store", str(path), str(later), *mesh, "--original", original],
-        ["verify", "--mesh", str(made), original],
-        ["verify", "--mesh", str(later), original],
-    ):
-        result = run(main, arguments)
-        assert result.exit_code == 0, result.output
-    assert kind in run(main, ["info", str(made)]).output
 
 
 def test_a_raster_of_one_line_has_no_meshes(tmp_path):
@@ -254,13 +213,6 @@ def test_the_example_of_the_annex():
 
 
 # Hostile sections
-
-
-def test_sections_hold_parts():
-    parts = [b"abc", b"", b"x" * 200, b"y"]
-    assert unpack_section(pack_section(parts), 4) == parts
-    assert pack_section([b"", b""]) == b""
-    assert unpack_section(b"", 2) == [b"", b""]
 
 
 @pytest.mark.parametrize(

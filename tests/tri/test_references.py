@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrainwave.tri.block_mesh import BlockMesh
-from terrainwave.tri.halves.borders import beside_void, line_vertices
-from terrainwave.tri.halves.height_fit import fit_triangle, scaled_heights
+from terrainwave.tri.halves.borders import line_vertices
+from terrainwave.tri.halves.height_fit import fit_triangle
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 
 SIXTEENTHS = 16
@@ -67,22 +67,6 @@ def test_vertices_of_a_tolerance_are_vertices_of_smaller_ones(seed, tolerance):
     coarse = line_vertices(heights, forced, 0, 32, 2 * tolerance + 1)
     fine = line_vertices(heights, forced, 0, 32, tolerance)
     assert (fine | ~coarse).all()
-
-
-@given(st.integers(0, 9999), st.integers(1, 9), st.integers(1, 9), st.floats(0, 1))
-def test_beside_void(seed, n_rows, n_cols, share):
-    mask = np.random.default_rng(seed).random((n_rows + 2, n_cols + 2)) < share
-    found = beside_void(mask)
-    for row in range(1, n_rows + 1):
-        for col in range(1, n_cols + 1):
-            touches = not mask[row, col]
-            for r in (row - 1, row):
-                for c in (col - 1, col):
-                    a, b, d, e = (r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)
-                    for triangle in ((a, b, e), (a, e, d)):
-                        if (row, col) in triangle:
-                            touches |= not all(mask[place] for place in triangle)
-            assert found[row - 1, col - 1] == touches
 
 
 def weights(triangle, row, col):
@@ -244,14 +228,3 @@ def test_deviation_from_bilinear(mesh, seed, has_voids):
             if valid.all():
                 apart = max(apart, largest_in_cell(triangle, row, col, corners))
     assert ceil(apart) <= found <= ceil(apart) + 1
-
-
-@given(st.integers(-(1 << 29), 1 << 29), st.integers(0, 1 << 29), st.integers(0, 1 << 40))
-def test_scaled_heights_are_whole_and_come_back(low, span, tolerance):
-    high = min(low + span, (1 << 30) - 1)
-    heights = np.array([[low, high, (low + high) // 2]], np.int32)
-    values, scale = scaled_heights(heights, np.ones((1, 3), bool), tolerance)
-    back = scale.to_mesh(values.ravel().astype(np.float64))
-    assert (back == SIXTEENTHS * heights.ravel().astype(np.int64)).all()
-    assert (scale.of_mesh(back) == values.ravel()).all()
-    assert int(scale.tolerance) << (4 - scale.bits) <= tolerance

@@ -64,24 +64,6 @@ def test_active_are_those_whose_error_on_screen_is_above_tau(shape, tile, has_vo
     assert len(counts) > 3
 
 
-def test_by_coefficient_what_a_vertex_depends_on_is_split_with_it():
-    # One spike of 8: its own coefficient is 8, those beside it have 8 / 4 = 2, all others 0.
-    heights = np.zeros((33, 33))
-    heights[21, 9] = 8.0
-    mesh = RestrictedMesh(heights, tile=32, sample_matrix=NORTH_UP, error="paper")
-    found = {place: float(mesh._errors[place]) for place, _ in vertices_below_corners(mesh)}
-    assert found[21, 9] == 8
-    assert found[1, 31] == 0
-    eye = eye_of(Camera((16, -60, 100), 0, -45, 50))._replace(planes=np.empty((0, 4)))
-    frame = mesh.update(eye, 9.0)
-    assert mesh._is_active[21, 9]
-    for (row, col), needs in vertices_below_corners(mesh):
-        if mesh._is_active[row, col]:
-            assert all(mesh._is_active[place] for place in needs)
-    assert 4 + 9 < frame.n_active < 150
-    assert mesh.update(eye, 1e9).n_active == 4
-
-
 @pytest.mark.parametrize("error", ["measured", "paper"])
 @pytest.mark.parametrize(("shape", "tile", "has_void"), SHAPES)
 def test_no_edge_is_open_and_the_area_is_covered_once(shape, tile, has_void, error):
@@ -101,16 +83,6 @@ def test_no_edge_is_open_and_the_area_is_covered_once(shape, tile, has_void, err
             side = frame.places[:, None] == np.array([[0, 0], [16, shape[1] - 1]])
             open_edges = {(a, b) for a, b in edges if (b, a) not in edges}
             assert all((side[a] & side[b]).any() for a, b in open_edges)
-
-
-def test_at_full_detail_voids_are_as_in_the_full_grid():
-    """Each quad with three valid corners gives their triangle (by hand: 4 around a lone void)."""
-    heights = np.zeros((5, 5))
-    heights[2, 2] = np.nan
-    mesh = RestrictedMesh(heights, tile=4, sample_matrix=NORTH_UP, base_error=1e-3)
-    frame = mesh.update(eye_of(Camera((2, -2, 61), 0, -90, 90)), 1e-9)
-    assert areas(frame).sum() == 2 * (16 - 4) + 4
-    assert len(frame.vertices) == 24
 
 
 @pytest.mark.parametrize("morph", some([1.25, 1.0, 3.0], 3))
@@ -160,15 +132,6 @@ def test_borders_where_the_raster_goes_on_are_named_and_measured():
     assert len(frame.edges) > 10
 
 
-def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
-    mesh = mesh_of((65, 65), 64, False)
-    eye = eye_of(Camera((32, -80, 65), 0, -40, 40))
-    assert mesh.update(eye, 40.0).n_changed > 100
-    frame = mesh.update(eye, 40.0)
-    assert frame.n_changed == 0
-    assert frame.n_touched <= 3 * frame.n_active < 65 * 65
-
-
 # Morphs
 
 
@@ -201,21 +164,6 @@ def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error):
         np.testing.assert_allclose(drawn, mean / (tau - tau / morph), rtol=0, atol=1e-6)
         n_between += len(inside)
     assert n_between > 20
-
-
-def test_a_vertex_leaves_the_edge_it_splits_at_the_lower_threshold():
-    """By hand: a pit of 8 in the middle of a tile, between corners of 0."""
-    heights = np.zeros((3, 3))
-    heights[1, 1] = -8.0
-    mesh = RestrictedMesh(heights, tile=2, sample_matrix=NORTH_UP)
-    eye = eye_of(Camera((1, -400, 200), 0, -27, 40))._replace(planes=np.empty((0, 4)))
-    error = mesh.screen_error(eye, 1, 1)
-    for share in (1e-9, 0.25, 1.0):
-        # (error - τ/2) / (τ - τ/2) = share
-        frame = mesh.update(eye, 2 * error / (1 + share), morph=2.0)
-        middle = np.flatnonzero((frame.places == 1).all(axis=1))
-        assert frame.vertices[middle[0], 2] == pytest.approx(-8 * share, abs=1e-6)
-    assert mesh.update(eye, 2 * error * (1 + 1e-9), morph=2.0).n_active == 4
 
 
 def largest_jump(mesh, shape, n_steps, morph):
@@ -260,13 +208,6 @@ def test_the_budget_is_kept_and_tau_sinks_again():
     assert again.n_active == free.n_active
 
 
-def test_a_budget_that_cannot_be_kept_ends():
-    """The eye is among the heights: what is around it has no error small enough."""
-    mesh = mesh_of((17, 17), 16, False)
-    frame = mesh.update(eye_of(Camera((8, -8, 5), 0, -20, 60)), 1.0, max_vertices=4)
-    assert frame.n_active > 4
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -278,17 +219,6 @@ def test_a_budget_that_cannot_be_kept_ends():
 def test_what_is_no_raster_is_refused(options, words):
     with pytest.raises(InvalidHeightsError, match=words):
         RestrictedMesh(**{"heights": np.zeros((5, 5)), **options})
-
-
-def test_options_are_checked():
-    mesh = mesh_of((17, 17), 16, False)
-    eye = eye_of(Camera((0, 0, 9)))
-    with pytest.raises(InvalidHeightsError, match="tau"):
-        mesh.update(eye, 0.0)
-    with pytest.raises(InvalidHeightsError, match="morph"):
-        mesh.update(eye, 1.0, morph=0.5)
-    with pytest.raises(InvalidHeightsError, match="corner of a tile: 4"):
-        mesh.update(eye, 1.0, max_vertices=3)
 
 
 def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():

@@ -16,7 +16,6 @@ from terrainwave.verification.pieces import (
     ABD,
     ACD,
     BCD,
-    NOTHING,
     WHOLE,
     characteristic,
     coverage,
@@ -216,17 +215,3 @@ def test_borders_that_differ(change):
     )
     assert "inside an edge" in " ".join(line_problems(one, bare))
     assert "inside an edge" in " ".join(line_problems(bare, one))
-
-
-def test_voids_on_one_side_of_a_border_are_no_gap():
-    mask = np.ones((5, 11), bool)
-    mask[1:4, 7] = False
-    mask[2, 5] = False
-    left, right = grid_surface(mask[:, :6]), grid_surface(mask[:, 5:])
-    assert list(line_problems(border_line(left, 1, 10), border_line(right, 1, 0))) == []
-
-
-def test_nothing_at_all():
-    nothing = np.zeros((3, 4), dtype=bool)
-    assert check(grid_surface(nothing), nothing) == []
-    assert (pieces_of_mask(nothing) == NOTHING).all()

@@ -147,7 +147,7 @@ class Patched:
     ("name", "method", "n_patches"),
     [
         (*CASES[0], 8),
-        *(pytest.param(*case, 20, marks=pytest.mark.full) for case in CASES),
+        *(pytest.param(*case, 10, marks=pytest.mark.full) for case in CASES),
     ],
 )
 def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):

@@ -5,7 +5,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import rasterio
-import xarray as xr
 from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
@@ -82,30 +81,6 @@ def test_heights_that_are_all_the_same_come_back(tmp_path, method):
         np.testing.assert_array_equal(terrain.read(), heights)
 
 
-def test_heights_that_are_all_the_same_are_lossless(tmp_path):
-    source = raster(tmp_path / "a.tif", np.full((24, 24), np.float32(np.pi)), "m")
-    result = terrainwave.compress(source, tmp_path / "a.twz")
-    assert (result.max_error, result.effective_error) == (0, 0)
-    assert any("lossless, as all heights are the same" in note for note in result.notes)
-
-
-def test_a_method_that_cannot_keep_the_default_takes_what_it_can(tmp_path):
-    source = raster(tmp_path / "a.tif", over(8000, 8000.5))  # 0.00005; floats are 0.0005 apart
-    result = terrainwave.compress(source, tmp_path / "a.twz", method="cdf53")
-    assert 5e-5 < result.max_error < 0.002
-    assert any("method cdf53 needs this much" in note for note in result.notes)
-
-
-def test_arrays_and_labelled_heights_get_the_same_bound_as_files(tmp_path):
-    heights = over(-0.004, 0.004)
-    labelled = xr.DataArray(heights, dims=("y", "x"), attrs={"units": "m/yr"})
-    assert terrainwave.compress(heights, tmp_path / "a.twz").max_error == 5e-7
-    found = terrainwave.compress(labelled, tmp_path / "b.twz").max_error
-    assert found == pytest.approx(np.ptp(heights.astype(float)) / 10_000, rel=1e-6)
-    with terrainwave.open(terrainwave.compress_to_bytes(heights)) as terrain:
-        assert terrain.max_error == 5e-7
-
-
 def test_the_range_of_a_mosaic_is_that_of_all_its_rasters(tmp_path):
     first = raster(tmp_path / "a.tif", over(0, 0.5), "m")
     second = raster(tmp_path / "b.tif", over(700, 701), "metre", col=24)
@@ -119,16 +94,6 @@ def test_the_command_and_a_batch_say_which_rule_was_used(tmp_path):
     many = CliRunner().invoke(main, ["compress", source, "--to", str(tmp_path / "out")])
     assert one.output.count(said) == 1
     assert many.output.count(said) == 1
-
-
-def test_the_finest_meshes_of_lossless_heights_follow_unit_and_range(tmp_path):
-    source = raster(tmp_path / "a.tif", over(0, 4), "km")
-    for name, options in {"whole": {}, "later": {"mesh": "none"}}.items():
-        terrainwave.compress(source, tmp_path / f"{name}.twz", max_error=0, **options)
-    terrainwave.store_meshes(tmp_path / "later.twz", tmp_path / "stored.twz")
-    for name in ("whole", "stored"):
-        with terrainwave.open(tmp_path / f"{name}.twz") as terrain:
-            assert 0 < terrain.info().mesh_tolerance <= 1.1e-5
 
 
 def test_a_file_with_the_default_bound_of_other_rules_is_made_again(tmp_path, monkeypatch):

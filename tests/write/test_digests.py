@@ -112,12 +112,6 @@ def test_digests_are_off_where_asked_and_without_the_proof(tmp_path):
         tw.compress(heights, tmp_path / "b.twz", **OPTIONS, digest=True, verify=False)
 
 
-def test_bytes_in_memory_get_digests_where_asked():
-    data = tw.compress_to_bytes(with_voids(40, 50), max_error=0, digest=True)
-    with tw.open(data) as terrain:
-        assert list(terrain.check(terrain.digest())) == []
-
-
 def patched(tmp_path, raster, **options):
     """Return a file and a raster that changes one corner of it."""
     path = tmp_path / "dem.twz"
@@ -244,9 +238,3 @@ def test_what_is_no_root_is_refused(tmp_path, root):
     path, _ = altered(tmp_path, has_new_digests=True)
     with pytest.raises(InvalidArgumentError, match="expected 64 hexadecimal digits"):
         tw.verify(path, root=root)
-
-
-def test_a_root_beside_an_original_is_refused(tmp_path):
-    path, root = altered(tmp_path, has_new_digests=True)
-    with pytest.raises(InvalidArgumentError, match="found root with original"):
-        tw.verify(path, "dem.tif", root=root)

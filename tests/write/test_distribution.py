@@ -154,19 +154,9 @@ def test_what_workers_cannot_open_is_refused(tmp_path, cluster):
         compress(HEIGHTS, tmp_path / "dem.twz", client=cluster)
 
 
-def test_a_size_of_tasks_without_a_client_is_refused(tmp_path):
-    with pytest.raises(InvalidHeightsError, match="found task_samples 9 without a client"):
-        compress(tmp_path / "dem.tif", tmp_path / "dem.twz", task_samples=9)
-
-
 def test_tiles_are_not_shared_out(tmp_path, cluster):
     with pytest.raises(InvalidHeightsError, match="found method cdf53 and a client"):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", client=cluster, method="cdf53")
-
-
-def test_what_is_no_client_is_refused(tmp_path):
-    with pytest.raises(InvalidHeightsError, match="found a str as client"):
-        compress(tmp_path / "dem.tif", tmp_path / "dem.twz", client="tcp://127.0.0.1:8786")
 
 
 @pytest.mark.large

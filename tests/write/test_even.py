@@ -12,17 +12,13 @@ from rasterio.transform import Affine
 from strategies import terrain_like
 
 import terrainwave as tw
-from terrainwave.cache import Cache
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
-from terrainwave.container.reader import Container
-from terrainwave.container.segment import Segment
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import StorageError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
-from terrainwave.raster_io import dataset as dataset_module
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read import decoder as decoder_module
@@ -221,43 +217,6 @@ def test_a_source_beyond_a_vrt_changes_no_gap(tiles, far):
     except StorageError:  # GDAL refuses the numbers
         return
     assert source.even(Region(300, 300, 10, 10)) == (VOID, False)
-
-
-def test_a_derived_band_is_read(tiles):
-    path = vrt(tiles / "derived.vrt", [element()], side=1200)
-    derived = "<VRTRasterBand subClass='VRTDerivedRasterBand' "
-    text = path.read_text().replace("<VRTRasterBand ", derived)
-    path.write_text(text.replace("<NoDataValue>", "<PixelFunctionType>inv</PixelFunctionType>"
-                                 "<NoDataValue>"))  # fmt: skip
-    source = RasterSource(path, warn=False)
-    assert source.even(Region(1100, 1100, 10, 10)) is None
-
-
-def test_a_vrt_of_itself_ends(tmp_path):
-    path = vrt(tmp_path / "self.vrt", [("self.vrt", 0, 0, 100, 100)], side=200)
-    assert RasterSource(path, warn=False).even(Region(10, 10, 10, 10)) is None
-
-
-def test_each_file_of_a_vrt_is_opened_once_to_ask_its_index(tiles, monkeypatch):
-    names = [f"sea{number}.tif" for number in range(30)]
-    for name in names:
-        write_tif(tiles / name, None, nodata=None, height=50, width=60)
-    entries = [(name, 60 * (k // 6), 80 * (k % 6), 50, 60) for k, name in enumerate(names * 2)]
-    path = vrt(tiles / "many.vrt", entries, side=1000)
-    opened = []
-    open_dataset = dataset_module.open_dataset
-
-    def noted(path):
-        opened.append(open_dataset(path))
-        assert sum(not dataset.closed for dataset in opened) <= 2
-        return opened[-1]
-
-    with RasterSource(path, warn=False) as source:
-        monkeypatch.setattr(dataset_module, "open_dataset", noted)
-        for _ in range(2):
-            parts = list(even_parts(Region(0, 0, 1000, 1000), 16, source.even))
-    assert sum(even is not None and even.is_valid for _, even in parts) > 60
-    assert len(opened) == 30
 
 
 def test_adjoining_tiles_of_one_height_are_known_as_one(tiles, tmp_path):
@@ -528,15 +487,6 @@ def test_nodata_that_gdal_takes_for_equal_is_in_doubt(tmp_path):
     assert (heights == 0).all()
 
 
-@pytest.mark.full
-def test_a_raster_that_is_coded_twice_has_the_smaller_result():
-    """Noise, of which a method makes more than the raster itself: `store` is tried, too."""
-    heights = np.random.default_rng(0).integers(0, 34500, (1100, 1100)).astype(np.uint16)
-    data = tw.compress_to_bytes(heights, max_error=0, method="predictive", block=32)
-    with tw.open(data) as terrain:
-        assert np.array_equal(terrain.read(), heights)
-
-
 @pytest.mark.parametrize(("rings", "n_clipped"), [(1, 0), (3, 13)])
 def test_blocks_whose_aprons_are_cut_are_no_repeats(rings, n_clipped):
     """A neighbour of one shared line only: `is_inside` counts it, and its samples end there."""
@@ -604,24 +554,3 @@ def test_finished_units_take_little_memory(tmp_path):
 def is_below(key, block):
     depth = key.level - block.level
     return (key.row >> depth, key.col >> depth) == (block.row, block.col)
-
-
-@pytest.mark.full
-def test_checking_bytes_keeps_no_page_of_a_finest_segment(sea, monkeypatch):
-    n_kept, n_checked = [], 0
-    check = Container._check_payloads
-
-    def counted(self, segment):
-        nonlocal n_checked
-        if n_checked % 8 == 0:  # to count takes long
-            n_kept.append(sum(type(one) is Segment for one in gc.get_objects()))
-        n_checked += 1
-        return check(self, segment)
-
-    monkeypatch.setattr(Container, "_check_payloads", counted)
-    with tw.open(sea[1]) as terrain:
-        terrain.container._segments = Cache(1)
-        assert list(terrain.container.check()) == []
-        n_finest = sum(not one.layout.children for one in terrain.container.present_segments())
-    assert n_finest > 20
-    assert max(n_kept) - n_kept[0] < 5

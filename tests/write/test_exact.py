@@ -63,15 +63,6 @@ def test_negative_zeros_of_a_vertical_grid_come_back(dtype, method):
         assert not terrain.header.features & HAS_REMAINDERS
 
 
-def test_signs_of_zero_are_kept_where_losslessness_is_the_default_too():
-    heights = terrain_like(40, 40).astype("float32")
-    heights[3, 3:9] = -0.0
-    with terrainwave.open(twz_bytes(heights)) as terrain:
-        assert_same_bits(terrain.read(), heights)
-    with terrainwave.open(twz_bytes(heights, max_error=0.25)) as terrain:  # numbers are promised
-        assert not terrain.header.features & HAS_REMAINDERS
-
-
 @pytest.mark.full
 def test_negative_zeros_in_one_window_of_many_are_found(tmp_path):
     heights = terrain_like(600, 2000).astype("float32") + 5
@@ -85,17 +76,6 @@ def test_negative_zeros_in_one_window_of_many_are_found(tmp_path):
         options = {} if executor is None else dict(client=executor, task_samples=1 << 16)
         compress(raster, target, max_error=0, mesh="none", block=64, **options)
     assert (tmp_path / "True.twz").read_bytes() == (tmp_path / "False.twz").read_bytes()
-
-
-def test_a_method_of_tiles_says_that_it_drops_the_sign_of_zero(tmp_path):
-    heights = terrain_like(40, 40).astype("float32")
-    raster = write_geotiff(tmp_path / "dem.tif", heights)
-    assert compress(raster, tmp_path / "a.twz", max_error=0, method="cdf53").notes == []
-    heights[3, 3:9] = -0.0
-    raster = write_geotiff(tmp_path / "dem.tif", heights)
-    result = compress(raster, tmp_path / "b.twz", max_error=0, method="cdf53")
-    assert any(note.startswith("-0.0 becomes 0.0: method cdf53") for note in result.notes)
-    assert verify(tmp_path / "b.twz", raster).problems == ()
 
 
 def test_verify_finds_zeros_whose_sign_was_lost(tmp_path):
@@ -125,13 +105,6 @@ def test_the_proof_finds_a_bit_that_did_not_come_back(monkeypatch):
     monkeypatch.setattr("terrainwave.write.pyramid.remainders", without_signs)
     with pytest.raises(BoundViolationError, match="row 3, column 3 has other bits"):
         twz_bytes(heights, max_error=0)
-
-
-def test_which_nan_marks_a_void_is_not_kept():
-    heights = terrain_like(40, 40).astype("float32")
-    heights.view("u4")[3, 3:5] = 0x7FC12345, 0xFFC00001  # payloads, one with a sign
-    with terrainwave.open(twz_bytes(heights, max_error=0)) as terrain:
-        assert set(terrain.read().view("u4")[3, 3:5].tolist()) == {0x7FC00000}
 
 
 def test_a_bound_too_small_for_quanta_is_kept_by_every_bit():

@@ -11,7 +11,6 @@ from golden_files import GOLDEN
 
 import terrainwave
 from benchmarks.both_encoders import Drawn, compare, compressed, drawn_raster
-from terrainwave.codec.rapid import unit_in_c
 from terrainwave.coding import native_library
 from terrainwave.reference.units import decode
 
@@ -41,19 +40,6 @@ def test_files_of_the_library_decode_by_the_text_of_the_format(with_library):
         np.testing.assert_array_equal(found[valid], heights[valid])
         apart = found[valid].astype(np.float64) - drawn.heights[valid].astype(np.float64)
         assert np.abs(apart).max(initial=0) <= drawn.options["max_error"] * (1 + 1e-6)
-
-
-def test_the_library_has_encoded(with_library, monkeypatch):
-    """Else files would be the same for another reason."""
-    used = []
-    for name in ("encode", "count"):
-        own = getattr(unit_in_c, name)
-        monkeypatch.setattr(unit_in_c, name, lambda *given, own=own: used.append(1) or own(*given))
-    drawn = drawn_raster(0, MOST)
-    compressed(drawn, in_c=False)
-    assert not used
-    compressed(drawn, in_c=True)
-    assert used
 
 
 @pytest.mark.filterwarnings("ignore:.*near the radius of the body")  # of 32 bits

@@ -11,7 +11,6 @@ import terrainwave
 from terrainwave import Terrain
 from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, StorageError
-from terrainwave.write.origin import difference
 
 HEIGHTS = terrain_like(100, 130)
 NODATA = -9999
@@ -124,16 +123,6 @@ def test_a_mosaic_of_files_is_that_of_their_rasters_within_the_largest_bound(tmp
         made(files, files[1], 5)
 
 
-def test_options_of_rasters_are_refused(tmp_path, original):
-    made(original, tmp_path / "a.twz", 0)
-    for options, found in (({"nodata": 3}, "nodata 3"), ({"band": 2}, "band 2")):
-        with pytest.raises(InvalidArgumentError, match=f"found {found} and .*a.twz"):
-            made(tmp_path / "a.twz", tmp_path / "b.twz", 0, **options)
-    made(tmp_path / "a.twz", tmp_path / "b.twz", 0, georeference=False)
-    with Terrain(tmp_path / "b.twz") as terrain:
-        assert terrain.crs is None
-
-
 def test_all_else_of_the_file_stays(tmp_path):
     source = write_geotiff(
         tmp_path / "dem.tif",
@@ -152,16 +141,6 @@ def test_all_else_of_the_file_stays(tmp_path):
     assert terrainwave.verify(tmp_path / "b.twz", source).ok
     with Terrain(tmp_path / "a.twz") as first, Terrain(tmp_path / "b.twz") as second:
         assert first.raster_info == second.raster_info
-
-
-def test_a_batch_knows_what_it_made_of_files(tmp_path, original):
-    made(original, tmp_path / "a.twz", 2)
-    options = {"method": "store", "mesh": "none", "block": 32, "max_error": 4}
-    terrainwave.compress(tmp_path / "a.twz", tmp_path / "b.twz", keep_origin=True, **options)
-    assert difference(tmp_path / "b.twz", tmp_path / "a.twz", **options) is None
-    made(original, tmp_path / "a.twz", 1)
-    found = difference(tmp_path / "b.twz", tmp_path / "a.twz", **options)
-    assert found == "it was made of another .twz file"
 
 
 def test_a_bound_that_no_file_can_state_names_the_next(tmp_path):

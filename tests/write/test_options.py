@@ -1,7 +1,5 @@
 """`Options` are checked where they are made, and say what they stand for."""
 
-import re
-
 import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
@@ -99,56 +97,10 @@ def test_texts_are_no_flags_of_compress(tmp_path, name):
     assert target.read_bytes() == b"somebody's"
 
 
-def test_truth_values_of_numpy_are_flags():
-    assert Options(max_error=1, verify=np.False_).verify == np.False_
-
-
-def test_options_are_what_names_and_numbers_stand_for():
-    options = Options(max_error=2, effort="best", threads=3)
-    assert (options.max_error, options.method, options.mesh_kind) == (2.0, Predictive(), "halves")
-    assert (options.effort_number, options.n_threads, options.is_embedded) == (2, 3, False)
-
-
-@pytest.mark.parametrize("method", ["store", "cdf53"])
-def test_a_method_without_efforts_says_so(tmp_path, method):
-    heights = terrain_like(33, 33)
-    for effort, n_notes in (("best", 1), ("default", 0)):
-        result = compress(
-            heights, tmp_path / f"{effort}.twz", max_error=1, method=method, effort=effort
-        )
-        assert len(result.notes) == n_notes
-    note = f"effort best changes nothing: method {method} has no efforts"
-    assert Options(method=method, effort="best").notes == [note]
-
-
 def test_faithful_files_have_no_efforts():
     (note,) = Options(method=Cdf97(faithful=True), effort="best").notes
     assert note.startswith("effort best changes nothing: faithful")
     assert Options(method=Cdf97(faithful=True)).notes == []
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({}, "rapid: the default"),
-        ({"effort": "best"}, "predictive: effort best: for archives"),
-        ({"method": "predictive"}, "predictive: asked for"),
-        ({"method": Cdf97(border_rings=3)}, "cdf97: asked for with options"),
-    ],
-)
-def test_the_log_says_why_a_method_codes_the_raster(tmp_path, caplog, options, reason):
-    caplog.set_level("INFO", "terrainwave")
-    compress(terrain_like(33, 33), tmp_path / "a.twz", max_error=1, mesh="none", **options)
-    assert [record.getMessage() for record in caplog.records] == [f"method {reason}"]
-
-
-def test_the_log_says_that_heights_do_not_compress(tmp_path, caplog):
-    caplog.set_level("INFO", "terrainwave")
-    noise = np.random.default_rng(0).integers(0, 256, (65, 65), dtype="uint8")
-    result = compress(noise, tmp_path / "noise.twz", max_error=0, mesh="none")
-    (message,) = (record.getMessage() for record in caplog.records)
-    assert result.method == "store"
-    assert re.fullmatch(r"method store: rapid, the default, takes \d,\d{3} bytes of 4,225", message)
 
 
 @pytest.mark.parametrize(
@@ -180,12 +132,3 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
     with pytest.raises(InvalidHeightsError, match="found task_samples 5 without a client"):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", task_samples=5)
     assert not (tmp_path / "dem.twz").exists()
-
-
-@pytest.mark.parametrize(
-    ("effort", "method", "stored"),
-    [("fast", "rapid", 1), ("default", "rapid", 1), ("best", "predictive", 2)],
-)
-def test_auto_is_rapid_and_with_effort_best_predictive(effort, method, stored):
-    options = Options(effort=effort)
-    assert (options.named_method.name, options.effort_number, options.notes) == (method, stored, [])

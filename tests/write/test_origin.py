@@ -8,7 +8,6 @@ from strategies import terrain_like, write_geotiff
 from twz import grouped
 
 import terrainwave
-from terrainwave.errors import InvalidArgumentError
 from terrainwave.write.origin import difference
 
 OPTIONS = {"method": "store", "block": 32, "mesh": "none", "max_error": 0}
@@ -67,35 +66,6 @@ def test_other_options_are_seen_without_reading(tmp_path, raster, other):
     asked = grouped(OPTIONS | other | ({"method": "cdf97"} if "faithful" in other else {}))
     found = difference(tmp_path / "a.twz", tmp_path / "none.tif", **asked)
     assert found == "it was made with other options"
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("options", [{"rate": 2.0}, {"psnr": 50.0}, {"max_error": 0.25}])
-def test_cut_files_are_known_again(tmp_path, raster, options):
-    options = grouped({"method": "cdf53", "mesh": "none"} | options)
-    terrainwave.compress(raster, tmp_path / "a.twz", keep_origin=True, **options)
-    assert difference(tmp_path / "a.twz", raster, **options) is None
-
-
-def test_noise_that_is_stored_as_it_is_is_known_again(tmp_path):
-    heights = np.random.default_rng(0).integers(-30000, 30000, (90, 90)).astype(np.int16)
-    raster = write_geotiff(tmp_path / "noise.tif", heights)
-    options = OPTIONS | {"method": "rapid"}
-    result = terrainwave.compress(raster, tmp_path / "a.twz", keep_origin=True, **options)
-    assert result.method == "store"
-    assert difference(tmp_path / "a.twz", raster, **options) is None
-
-
-def test_a_copy_with_other_meshes_is_not_what_compress_made(tmp_path, raster):
-    terrainwave.compress(raster, tmp_path / "a.twz", keep_origin=True, **OPTIONS)
-    terrainwave.store_meshes(tmp_path / "a.twz", tmp_path / "b.twz", mesh="halves")
-    assert origin_in(tmp_path / "b.twz") is None
-
-
-def test_an_option_that_cannot_be_is_refused(tmp_path, raster):
-    terrainwave.compress(raster, tmp_path / "a.twz", keep_origin=True, **OPTIONS)
-    with pytest.raises(InvalidArgumentError, match="block"):
-        difference(tmp_path / "a.twz", raster, block=7)
 
 
 @pytest.mark.parametrize("value", [None, 5, "x", [], {"heights": 3}, {"options": []}])

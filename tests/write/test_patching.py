@@ -1,6 +1,5 @@
 """Files that are patched hold the new raster; what did not change is copied."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -186,18 +185,6 @@ def test_statistics_beside_a_patched_file_go_and_what_users_wrote_stays(patched_
     assert result.notes == []
 
 
-def test_a_sidecar_of_statistics_alone_goes_with_a_patch(patched_beside):
-    result, left = patched_beside(STATISTICS_ALONE)
-    assert left is None
-    assert result.notes == []
-
-
-def test_a_sidecar_that_is_no_xml_goes_with_a_patch_which_says_so(patched_beside):
-    result, left = patched_beside("<PAMDataset><PAMRasterBand>")
-    assert left is None
-    assert result.notes == ["dem.twz.aux.xml is no XML and may hold old statistics: removed"]
-
-
 def test_statistics_stay_where_a_patch_changes_nothing(placed, tmp_path):
     path = placed(0)
     (tmp_path / "dem.twz.aux.xml").write_text(STATISTICS_ALONE)
@@ -339,20 +326,6 @@ def test_heights_on_fixed_steps_stay_beyond_the_new_raster(tmp_path, dtype, boun
 
 
 @pytest.mark.large
-def test_json_has_the_error_of_the_whole_file(placed, tmp_path):
-    path = placed(2)
-    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    arguments = ["patch", str(path), str(tmp_path / "new.tif"), "--json", "-q"]
-    result = json.loads(CliRunner().invoke(main, arguments).stdout)
-    new = merged(changed(HEIGHTS), *MIDDLE)
-    with Terrain(path) as terrain:
-        apart = np.abs(terrain.read().astype(int) - new)
-        assert terrain.header.has_corrections
-    assert apart[60:69, 20:29].max() <= apart.max() <= result["measured_error"]
-    assert result["measured_error"] <= result["effective_error"] == 2
-
-
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 2])
 def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_error):
     """It undid that patch without a word."""
@@ -433,21 +406,6 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     with pytest.raises(BoundViolationError, match="which the new raster does not cover, has moved"):
         patch(path, tmp_path / "new.tif")
     assert path.read_bytes() == before
-
-
-@pytest.mark.large
-def test_the_command_tells_the_error_of_the_whole_file(placed, tmp_path):
-    path = placed(2)
-    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
-    assert result.exit_code == 0, result.output
-    words = " ".join(result.output.split())
-    found = re.search(r"max error guaranteed (\d), measured (\d), of the whole file", words)
-    assert found, words
-    new = merged(changed(HEIGHTS), *MIDDLE)
-    with Terrain(path) as terrain:
-        error = np.abs(terrain.read().astype(int) - new).max()
-    assert error <= int(found[2]) <= int(found[1]) == 2
 
 
 @pytest.mark.large
@@ -549,20 +507,6 @@ def test_a_file_with_room_takes_a_higher_summit(tmp_path, method, dtype, max_err
     assert terrainwave.verify(path, tmp_path / "new.tif").ok
 
 
-def test_the_range_that_patch_names_holds_heights_of_many_digits(tmp_path):
-    """Radii of a planet in micrometres; as doubles they have 16 digits."""
-    old = 1_737_400.0 + HEIGHTS[:64, :64] * 0.1234567
-    new = np.full((64, 64), 1_738_400.123456789)
-    path = tmp_path / "a.twz"
-    made = {"max_error": 1e-4, "method": "rapid", "heights_are": "height", "overwrite": True}
-    terrainwave.compress(old, path, **made)
-    with pytest.raises(InvalidHeightsError) as refused:
-        patch(path, new, heights_are="height")
-    ((low, high),) = re.findall(r"with height_range (\S+),(\S+) to", str(refused.value))
-    terrainwave.compress(old, path, height_range=(float(low), float(high)), **made)
-    assert patch(path, new, heights_are="height").measured_error <= 1e-4
-
-
 def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
     voids = np.ma.masked_all((9, 8), "int16")
     made = terrainwave.compress(voids, tmp_path / "a.twz", height_range=(0, 9))
@@ -648,16 +592,6 @@ def test_heights_between_the_files_steps_are_refused(file):
     heights[3, 3] += 0.25
     with pytest.raises(InvalidHeightsError, match="no multiples of the file's vertical step 1 "):
         patch(path, heights)
-
-
-@pytest.mark.large
-def test_the_command_prints_both_counts(tmp_path, file):
-    path = file(HEIGHTS, max_error=0)
-    write_geotiff(tmp_path / "new.tif", changed(HEIGHTS))
-    result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
-    assert result.exit_code == 0
-    assert "units coded again," in result.output
-    assert "max error guaranteed 0, measured 0" in result.output
 
 
 @pytest.mark.large

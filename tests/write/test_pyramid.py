@@ -18,7 +18,6 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.raster_io import temporary
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.write import pyramid as pyramid_module
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 
 
@@ -101,13 +100,6 @@ def test_coarse_levels_are_those_of_the_printed_filter_but_for_rounding(shape):
     assert np.abs(levels.heights[1] - expected).max() <= allowed
 
 
-def test_a_constant_stays_constant_on_all_levels():
-    heights = np.full((140, 5), 1234, dtype="int32")
-    heights[0, 0] = 1235  # quanta are counted from the middle of the range: keep that apart
-    levels = Levels(heights)
-    assert (levels.heights[1][5:] == levels.quanta[70, 2]).all()
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_targets_stay_within_the_range_of_the_raster(sign):
     heights = np.zeros((140, 5), dtype="int32")
@@ -121,15 +113,6 @@ def test_targets_stay_within_the_range_of_the_raster(sign):
 
 
 # Nested
-
-
-@shapes
-def test_nested_levels_are_every_second_sample(shape):
-    levels = Levels(whole_heights(shape), kind="nested")
-    stride = 1
-    for heights in levels.heights:
-        np.testing.assert_array_equal(heights, levels.quanta[::stride, ::stride])
-        stride *= 2
 
 
 # Masks
@@ -191,20 +174,6 @@ def test_one_valid_sample_fills_everything_with_its_height():
 
 
 # Windows
-
-
-@pytest.mark.parametrize("kind", ["lowpass", "nested"])
-@pytest.mark.parametrize("has_voids", [False, True])
-@pytest.mark.parametrize("tile", [7, 16])
-def test_the_size_of_windows_does_not_matter(monkeypatch, tile, has_voids, kind):
-    shape = (137, 23)
-    valid = np.random.default_rng(5).random(shape) < (0.7 if has_voids else 2)
-    at_once = Levels(whole_heights(shape), valid, kind)
-    monkeypatch.setattr(pyramid_module, "TILE", tile)
-    in_parts = Levels(whole_heights(shape), valid, kind, threads=3)
-    assert_levels_equal(in_parts.heights, at_once.heights)
-    assert_levels_equal(in_parts.masks, at_once.masks)
-    assert_levels_equal(in_parts.own, at_once.own)
 
 
 @pytest.mark.parametrize("limit", [0, 10**9])

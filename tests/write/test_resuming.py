@@ -314,16 +314,6 @@ def test_fresh_starts_over(tmp_path, raster, monkeypatch):
     assert hidden_in(tmp_path) == []
 
 
-@pytest.mark.full
-def test_a_small_raster_needs_nothing_and_removes_what_is_there(tmp_path, raster, monkeypatch):
-    target = tmp_path / "out.twz"
-    interrupted(target, raster, monkeypatch)
-    monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1 << 26)
-    error = interrupted(target, raster, monkeypatch)
-    assert hidden_in(tmp_path) == []
-    assert not hasattr(error, "__notes__")
-
-
 def test_heights_that_cannot_be_leave_nothing(tmp_path):
     heights = terrain_like(*SHAPE, dtype="float32")
     heights[600, 500] = np.inf
@@ -332,23 +322,6 @@ def test_heights_that_cannot_be_leave_nothing(tmp_path):
             write_geotiff(tmp_path / "a.tif", heights), tmp_path / "out.twz", **OPTIONS
         )
     assert hidden_in(tmp_path) == []
-
-
-@pytest.mark.full
-def test_another_folder_has_what_is_kept(tmp_path, raster, monkeypatch):
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    target = tmp_path / "out.twz"
-    interrupted(target, raster, monkeypatch, temp_dir=folder)
-    assert hidden_in(tmp_path) == []
-    (name,) = hidden_in(folder)
-    # Another target of the same name is not in its way.
-    (tmp_path / "other").mkdir()
-    terrainwave.compress(raster, tmp_path / "other" / "out.twz", temp_dir=folder, **OPTIONS)
-    assert hidden_in(folder) == [name]
-    result = terrainwave.compress(raster, target, temp_dir=folder, **OPTIONS)
-    assert any("continued the work" in note for note in result.notes)
-    assert hidden_in(folder) == []
 
 
 @pytest.mark.few(1)
@@ -472,22 +445,3 @@ def test_arrays_that_are_gone_are_made_again(tmp_path, raster, monkeypatch, gone
     (folder / f"{gone}.array").unlink()
     work()
     assert target.read_bytes() == whole
-
-
-def test_the_record_of_a_proof_does_not_grow(tmp_path, raster, monkeypatch):
-    target = tmp_path / "out.twz"
-    records = []
-    put = Kept.put
-
-    def noting(self, name, values, *rest):
-        if name.startswith("proof/"):
-            records.append(values)
-        put(self, name, values, *rest)
-
-    monkeypatch.setattr(Kept, "put", noting)
-    terrainwave.compress(raster, target, **OPTIONS)
-    assert records
-    assert {tuple(values) for values in records} == {("done", "largest", "places")}
-    # Each tile of the digests is in one record: 2 x 2, one of them void.
-    places = [tuple(place) for values in records for place in values["places"]]
-    assert len(places) == len(set(places)) == 4

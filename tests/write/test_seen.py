@@ -8,12 +8,10 @@ import rasterio
 from strategies import terrain_like
 
 import terrainwave as tw
-from terrainwave.codec.predictive import fit as predictive_fit
-from terrainwave.codec.rapid import fit as rapid_fit
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.even import Even
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write import encoder, pyramid
+from terrainwave.write import encoder
 from terrainwave.write.passes import seen
 from terrainwave.write.passes.seen import SeenTiles
 
@@ -192,8 +190,3 @@ def test_heights_that_change_after_the_scan_are_found_by_the_proof(void, tmp_pat
     with pytest.raises(tw.StorageError, match=r"changed in .* from row"):
         tw.compress(heights, tmp_path / "a.twz", block=32, nodata=nodata, progress=change)
     assert not (tmp_path / "a.twz").exists()
-
-
-def test_windows_that_tables_are_fitted_to_reach_no_unmade_fills():
-    margin = pyramid._FILL_MARGIN * (pyramid.TILE // 2) + pyramid._FILL_REACH
-    assert margin >= max(rapid_fit._WINDOW, predictive_fit._WINDOW)

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from cases import some
-from commands import run
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
@@ -14,7 +13,7 @@ from terrainwave import Cdf97
 from terrainwave.container.header import HAS_VOIDS
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.verification.heights import verify
-from terrainwave.write.compress import compress, compress_to_bytes
+from terrainwave.write.compress import compress
 from terrainwave.write.compress_options import Options
 
 
@@ -94,13 +93,6 @@ def test_options_that_do_not_go_together_are_refused(options, found):
         Options(**options)
 
 
-def test_bytes_and_files_are_the_same(tmp_path):
-    heights = heights_of("float32")
-    options = dict(max_error=0.5, nodata=-9999, stable=True, mesh="none")
-    compress(heights, tmp_path / "dem.twz", digest=False, **options)
-    assert compress_to_bytes(heights, **options) == (tmp_path / "dem.twz").read_bytes()
-
-
 @pytest.mark.full
 def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
     heights = np.tile(heights_of("float32"), (4, 4))
@@ -110,15 +102,3 @@ def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
     with ThreadPoolExecutor(2) as client:
         compress(raster, tmp_path / "many.twz", client=client, task_samples=4096, **options)
     assert (tmp_path / "one.twz").read_bytes() == (tmp_path / "many.twz").read_bytes()
-
-
-def test_the_command_makes_the_same_file_of_what_it_decompressed(tmp_path):
-    raster = write_geotiff(tmp_path / "dem.tif", heights_of("float32"), nodata=-9999)
-    options = ["--max-error", 0.1, "--stable", "--block", 32]
-    run("compress", raster, tmp_path / "a.twz", *options)
-    run("decompress", tmp_path / "a.twz", tmp_path / "a.tif")
-    run("compress", tmp_path / "a.tif", tmp_path / "b.twz", *options)
-    assert (tmp_path / "a.twz").read_bytes() == (tmp_path / "b.twz").read_bytes()
-    done = run("compress", raster, tmp_path / "c.twz", "--stable")
-    assert done.exit_code == 2
-    assert "found --stable without --max-error, expected both" in done.stderr

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 import rasterio
 import xarray as xr
-from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.cli import main
-from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import InvalidHeightsError
 
 HEIGHTS = terrain_like(20, 20)
 TRANSFORM = rasterio.Affine(10, 0, 500_000, 0, -10, 5_000_000)
@@ -82,37 +80,6 @@ def test_other_units_are_refused_with_what_to_do(file, tmp_path, unit, crs, new_
         terrainwave.patch(path, new)
     assert refused in str(problem.value)
     assert "\n" not in str(problem.value)
-
-
-@pytest.mark.parametrize(
-    ("unit", "crs", "new_unit"),
-    [
-        ("metre", "EPSG:32632", "m"),
-        ("Meters", "EPSG:32632", "m above sea level"),
-        ("ftUS", "EPSG:32632", "US_survey_feet"),
-        (None, FEET_CRS, "ft-us"),
-        ("m/yr", "EPSG:32632", "M/yr"),
-        (None, "EPSG:32632", "unspecified"),
-    ],
-)
-def test_one_unit_of_two_spellings_is_patched_without_a_word(file, tmp_path, unit, crs, new_unit):
-    result = terrainwave.patch(file(unit, crs), raster(tmp_path / "new.tif", new_unit, crs))
-    assert result.notes == []
-
-
-@pytest.mark.parametrize(("unit", "new_unit"), [("ft", None), (None, "ft")])
-def test_a_unit_beside_none_is_noted(file, tmp_path, unit, new_unit):
-    path = file(unit)
-    with pytest.warns(TerrainwaveWarning, match="no unit of heights is named; taken for ft"):
-        result = terrainwave.patch(path, raster(tmp_path / "new.tif", new_unit))
-    assert len(result.notes) == 1
-
-
-def test_the_command_says_it_once(file, tmp_path):
-    new = raster(tmp_path / "new.tif", None)
-    result = CliRunner().invoke(main, ["patch", str(file("ft")), str(new)])
-    assert result.exit_code == 0, result.output
-    assert result.output.count("no unit of heights is named; taken for ft, as the file has") == 1
 
 
 @pytest.mark.parametrize("command", ["patch", "store_meshes"])

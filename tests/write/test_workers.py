@@ -127,13 +127,6 @@ def test_an_error_of_all_workers_names_one_with_its_folder(make_client):
         run(client)
 
 
-@pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
-def test_four_of_many_workers_try_a_task(make_client):
-    client = make_client([f"w{n}" for n in range(40)], [f"w{n}" for n in range(40)], full())
-    with pytest.raises(StorageError, match="by 3 other workers before"):
-        run(client)
-
-
 def test_what_no_other_worker_can_mend_is_not_repeated(make_client):
     client = make_client(["a", "b"], broken=["a", "b"], error=ValueError("of the heights"))
     with pytest.raises(ValueError, match="of the heights"):
@@ -156,24 +149,6 @@ def test_a_task_whose_workers_are_gone_is_given_to_others(make_client):
         assert run(client) == {number: number**2 for number in TASKS}
     assert time.monotonic() - start < 10  # sooner than a slow one is helped
     assert {worker for _, worker in client.given} == {"a", "b", "c"}
-
-
-def test_a_cluster_without_workers_is_one_note(make_client, monkeypatch):
-    monkeypatch.setattr(workers, "_LONELY_SECONDS", 0.05)
-    client = make_client(["a"], slow=["a"])
-
-    def return_later():
-        time.sleep(0.5)
-        client.release.set()
-
-    thread = threading.Thread(target=return_later)
-    client.nthreads = dict
-    thread.start()
-    with pytest.warns(TerrainwaveWarning) as notes:
-        list(Workers(client).run("encoding", squared, {1: (1,)}))
-    thread.join()
-    (note,) = notes
-    assert "the cluster has no workers: 1 task of encoding wait" in str(note.message)
 
 
 def test_tasks_that_are_lost_are_one_line():
