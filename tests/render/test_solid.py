@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
+from terrainwave.grid.voids import fill_voids
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.scene.camera import Camera, home, top_view
@@ -14,7 +15,6 @@ from terrainwave.render.scene.walls import (
     TOP,
     build_solid,
     distance_to_walls,
-    fill_voids,
     haze_of,
 )
 
@@ -102,12 +102,12 @@ def test_voids_are_filled_between_the_heights_around_them():
     heights = np.tile(3.0 * np.arange(50), (40, 1))
     valid = np.ones(heights.shape, dtype=bool)
     valid[12:25, 15:33] = False
-    filled = fill_voids(np.where(valid, heights, 1e9), valid)
+    filled = fill_voids(np.where(valid, heights, 1e9), valid, 6)
     np.testing.assert_array_equal(filled[valid], heights[valid])
     assert 3 * 14 <= filled[~valid].min() <= filled[~valid].max() <= 3 * 33
     assert filled[18, 31] - filled[18, 16] > 20  # it goes up with what is around
     nothing = np.zeros((3, 4), dtype=bool)
-    np.testing.assert_array_equal(fill_voids(heights[:3, :4], nothing), heights[:3, :4])
+    np.testing.assert_array_equal(fill_voids(heights[:3, :4], nothing, 6), heights[:3, :4])
 
 
 @pytest.mark.parametrize(

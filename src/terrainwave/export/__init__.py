@@ -39,7 +39,6 @@ class MeshFormat:
     up: str = "z"
 
     def write(self, *given: Any) -> bytes:
-        """Return the bytes of a file."""
         module, name = self.writer.split(".")
         data: bytes = getattr(import_module(f"{__name__}.{module}"), name)(*given)
         return data

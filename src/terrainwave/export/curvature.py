@@ -50,29 +50,16 @@ _NONE = -1
 
 @dataclass(frozen=True)
 class GlobeWay:
-    """Conversion of a mesh's points to the globe.
-
-    Parameters
-    ----------
-    place : Place
-    metres : float
-        Per unit of height; negative if the CRS counts depths.
-    vertical : EllipsoidalHeights, optional
-        None: heights are assumed to be above the ellipsoid.
-    z_scale : float
-        Factor of heights.
-    is_radius : bool
-        Heights are distances from the body's centre.
-    """
+    """Conversion of a mesh's points to the globe."""
 
     place: Place
-    metres: float
+    metres: float  # per unit of height; negative if the CRS counts depths
+    # None: heights are assumed to be above the ellipsoid
     vertical: EllipsoidalHeights | None = None
-    z_scale: float = 1.0
-    is_radius: bool = False
+    z_scale: float = 1.0  # factor of heights
+    is_radius: bool = False  # heights are distances from the body's centre
 
     def describe(self, crs: str | None) -> dict[str, Any]:
-        """Return the metadata of heights on the globe."""
         if self.is_radius:
             return describe_radii()
         return describe_as_is(crs) if self.vertical is None else self.vertical.describe()

@@ -431,7 +431,6 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
 
 
 def describe(mesh: MeshData, error: float) -> dict[str, Any]:
-    """Describe a mesh in a frame, as plain values for the file's JSON."""
     frame = {name: value for name, value in mesh.attributes["frame"].items() if value is not None}
     about: dict[str, Any] = {"generator": f"terrainwave {__version__}", "origin": list(mesh.origin)}
     about |= {"frame": frame, "error": error}

@@ -41,23 +41,13 @@ _IMPORT = re.compile(r'^(?:import|export)\b[^;"]* from "(\.[^"]+)";', re.MULTILI
 
 @dataclass(frozen=True)
 class PublishedTerrain:
-    """One file of a published folder.
+    """One file of a published folder."""
 
-    Parameters
-    ----------
-    name : str
-        Its name on the page.
-    file : str
-        Its name in the folder.
-    n_bytes : int
-    place_error : float
-        Largest difference of positions in the browser from PROJ's, in samples of the full grid
-        (`fit_places`).
-    """
-
-    name: str
-    file: str
+    name: str  # its name on the page
+    file: str  # its name in the folder
     n_bytes: int
+    # largest difference of positions in the browser from PROJ's, in samples of the full grid
+    # (`fit_places`)
     place_error: float
 
 

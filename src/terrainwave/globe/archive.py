@@ -43,21 +43,13 @@ _AHEAD = 4
 
 @dataclass(frozen=True)
 class ArchivedZoom:
-    """Summary of one zoom; errors in metres, the largest of its tiles (`RgbTile`).
-
-    Parameters
-    ----------
-    zoom, n_tiles, n_bytes : int
-    surface_error : float
-        From resampling to Web Mercator and the steps of the encoding.
-    terrain_error : float
-        Largest distance of originals from the level that the tiles were made from.
-    """
+    """Summary of one zoom; errors in metres, the largest of its tiles (`RgbTile`)."""
 
     zoom: int
     n_tiles: int
     n_bytes: int
-    surface_error: float
+    surface_error: float  # from resampling to Web Mercator and the steps of the encoding
+    # largest distance of originals from the level that the tiles were made from
     terrain_error: float
 
 

@@ -91,12 +91,10 @@ class TilePyramid(TileScheme):
         self._mesher = TileMesher(self, self._heights)
 
     def tolerance(self, zoom: int) -> float:
-        """Return the largest distance of a tile's mesh from the heights at its cells, in metres."""
         return self._heights.tolerance(zoom)
 
     @property
     def vertical(self) -> dict[str, Any]:
-        """Return the metadata of heights in tiles."""
         return self._heights.vertical
 
     def layer(self, *, version: str = "1.0.0", attribution: str = "") -> dict[str, Any]:
@@ -145,63 +143,19 @@ class TilePyramid(TileScheme):
         return self._mesher.tile(zoom, x, y)
 
 
-def terrain_tile(
-    terrain: "TerrainFile", zoom: int, x: int, y: int, *, void_height: float = 0.0
-) -> bytes | None:
-    """Return one quantized-mesh tile of a terrain; None if it does not exist.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    zoom, x, y : int
-        TMS: x from longitude -180 eastwards, y from latitude -90 northwards.
-    void_height : float
-        Height in metres above the ellipsoid outside of the raster; voids are holes.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe.
-    CorruptStreamError
-        If a block is damaged.
-    TerrainwaveError
-        If quantized-mesh-encoder is missing.
-
-    Notes
-    -----
-    For many tiles keep a `TilePyramid`.
-    """
-    tile = TilePyramid(terrain, void_height=void_height).tile(zoom, x, y)
-    return None if tile is None else tile.data
-
-
-def layer_json(terrain: "TerrainFile", *, attribution: str = "") -> dict[str, Any]:
-    """Return the content of ``layer.json`` for a terrain's tiles, as plain values."""
-    return TilePyramid(terrain).layer(attribution=attribution)
-
-
 @dataclass(frozen=True)
 class ZoomSummary:
-    """Summary of one zoom; errors in metres.
-
-    Parameters
-    ----------
-    zoom, n_tiles, n_triangles, n_bytes : int
-    geometric_error : float
-        Cesium's assumption about a tile's error.
-    surface_error : float or None
-        Largest one of the tiles: distance of the bilinear heights of the level read from the tile;
-        see `TileMesh`.
-    error : float or None
-        Largest one of the tiles: the same, plus the distance of originals from these heights.
-    """
+    """Summary of one zoom; errors in metres."""
 
     zoom: int
     n_tiles: int
     n_triangles: int
     n_bytes: int
-    geometric_error: float
+    geometric_error: float  # Cesium's assumption about a tile's error
+    # largest one of the tiles: distance of the bilinear heights of the level read from the tile;
+    # see `TileMesh`
     surface_error: float | None
+    # largest one of the tiles: the same, plus the distance of originals from these heights
     error: float | None
 
 

@@ -33,21 +33,11 @@ _HIGHEST_CODE = (1 << 24) - 1
 
 
 class Encoding(NamedTuple):
-    """Encoding of heights as pixels; metres.
+    """Encoding of heights as pixels; metres."""
 
-    Parameters
-    ----------
-    name : str
-        As in TileJSON and MapLibre's sources.
-    lowest : float
-        The height of code 0.
-    step : float
-        From one code to the next; R is a code's highest byte, B its lowest.
-    """
-
-    name: str
-    lowest: float
-    step: float
+    name: str  # as in TileJSON and MapLibre's sources
+    lowest: float  # the height of code 0
+    step: float  # from one code to the next; R is a code's highest byte, B its lowest
 
     @property
     def highest(self) -> float:
@@ -75,22 +65,14 @@ MAPBOX = "mapbox"
 
 
 class Look(NamedTuple):
-    """Appearance of heights and voids in tiles.
+    """Appearance of heights and voids in tiles."""
 
-    Parameters
-    ----------
-    encoding : str
-        One of `ENCODINGS`.
-    transparent_voids : bool
-        Pixels without heights have alpha 0, all others 255. Colours are not affected.
-    """
-
-    encoding: str = MAPBOX
+    encoding: str = MAPBOX  # one of `ENCODINGS`
+    # pixels without heights have alpha 0, all others 255. Colours are not affected.
     transparent_voids: bool = False
 
     @property
     def voids(self) -> str:
-        """Return the name of the appearance of voids in addresses."""
         return "transparent" if self.transparent_voids else "height"
 
 
@@ -138,7 +120,6 @@ class RgbTile:
 
 
 def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return degrees of fractional tile columns."""
     return x / (1 << z) * 360.0 - 180.0
 
 
@@ -148,7 +129,6 @@ def latitudes_of(z: int, y: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def column_of(z: int, longitude: float) -> float:
-    """Return the fractional tile column of a longitude."""
     return (longitude + 180.0) / 360.0 * (1 << z)
 
 

@@ -29,7 +29,6 @@ class TileRange:
     last_y: int
 
     def contains(self, x: int, y: int) -> bool:
-        """Return whether a tile is among them."""
         return self.first_x <= x <= self.last_x and self.first_y <= y <= self.last_y
 
     @property
@@ -37,7 +36,6 @@ class TileRange:
         return (self.last_x - self.first_x + 1) * (self.last_y - self.first_y + 1)
 
     def tiles(self) -> Iterator[tuple[int, int]]:
-        """Yield (x, y) of all of them, row by row."""
         for y in range(self.first_y, self.last_y + 1):
             for x in range(self.first_x, self.last_x + 1):
                 yield x, y
@@ -93,7 +91,6 @@ class TileScheme:
         return zoom
 
     def is_finest(self, zoom: int) -> bool:
-        """Return whether a zoom is the one whose cells are no larger than the raster's pixels."""
         return zoom == self._finest
 
     def geometric_error(self, zoom: int) -> float:

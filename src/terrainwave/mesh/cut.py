@@ -42,7 +42,6 @@ class Area(NamedTuple):
 
     @property
     def is_finest(self) -> bool:
-        """Return whether the area is one of the full grid."""
         return self.level == self.grid.k_max
 
     def limits(self) -> tuple[int, int, int, int]:
@@ -228,14 +227,12 @@ class ErrorCut(Cut):
         self._close()
 
     def refine(self, failed: list[Block]) -> None:
-        """Replace blocks by finer ones."""
         for block in failed:
             if block in self.pieces:
                 self._split(block)
         self._close()
 
     def _add(self, block: Block) -> list[Block]:
-        """Add a block, or those below it; return the added ones."""
         if block.level == self._area.level or self._is_usable(block):
             self.pieces[block] = self._errors.piece(block, self._error)
             return [block]

@@ -17,58 +17,29 @@ _LARGEST = 1e6
 
 
 class Eye(NamedTuple):
-    """Camera: the input of errors on screen.
+    """Camera: the input of errors on screen."""
 
-    Parameters
-    ----------
-    position : ndarray of float64, shape (3,)
-        In the units of the mesh.
-    forward : ndarray of float64, shape (3,)
-        Unit vector along the axis of the view.
-    planes : ndarray of float64, shape (n_planes, 4)
-        Inward planes of the view: n·p + w >= 0 inside. Without planes everything is in view.
-    focal : float
-        Focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
-        the tangent of half its angle.
-    slant : float
-        Largest distance / depth in view, that of the picture's corners.
-    z_scale : float
-        Factor of heights.
-    """
-
-    position: NDArray[np.float64]
-    forward: NDArray[np.float64]
+    position: NDArray[np.float64]  # shape (3,); in the units of the mesh
+    forward: NDArray[np.float64]  # shape (3,); unit vector along the axis of the view
+    # shape (n_planes, 4); inward planes of the view: n·p + w >= 0 inside. Without planes everything
+    # is in view.
     planes: NDArray[np.float64]
+    # focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
+    # the tangent of half its angle
     focal: float
-    slant: float
-    z_scale: float = 1.0
+    slant: float  # largest distance / depth in view, that of the picture's corners
+    z_scale: float = 1.0  # factor of heights
 
 
 class Followed(NamedTuple):
-    """Statistics after marks have followed a view.
+    """Statistics after marks have followed a view."""
 
-    Parameters
-    ----------
-    threshold : float
-        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
-    tau : float
-        Pixels; above the requested one if the budget requires it.
-    within : float
-        Error kept with measured errors, in pixels: τ, or more while steps lag behind.
-    n_vertices : int
-        Roots that are not void.
-    n_touched : int
-        Nodes visited by marking.
-    n_changed : int
-        Nodes that became a root or ceased to be one; 0 once marks are stable.
-    """
-
-    threshold: float
-    tau: float
-    within: float
-    n_vertices: int
-    n_touched: int
-    n_changed: int
+    threshold: float  # errors on screen below this were merged, pixels: τ, or τ / λ with a morph
+    tau: float  # pixels; above the requested one if the budget requires it
+    within: float  # error kept with measured errors, in pixels: τ, or more while steps lag behind
+    n_vertices: int  # roots that are not void
+    n_touched: int  # nodes visited by marking
+    n_changed: int  # nodes that became a root or ceased to be one; 0 once marks are stable
 
 
 def check_update(tau: float, morph: float) -> None:

@@ -20,6 +20,7 @@ from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
+from terrainwave.ext.serve.locations import BadLocationsError
 from terrainwave.ext.serve.log import warn_once
 from terrainwave.ext.serve.proxies import Proxied, network_of
 from terrainwave.ext.serve.proxies import public_url as address_of
@@ -137,6 +138,10 @@ def make_app(
         # A path may have line feeds in it, as %0A.
         warn_once(in_one_line(f"{request.path_params.get('name')}: {error}"))
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
+
+    @app.exception_handler(BadLocationsError)
+    async def refused(_request: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"status": "INVALID_REQUEST", "error": str(error)}, 400)
 
     @app.exception_handler(Exception)
     async def broken(_request: Request, _error: Exception) -> JSONResponse:

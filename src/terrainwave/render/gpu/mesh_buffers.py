@@ -36,6 +36,25 @@ class Slot(NamedTuple):
     layer: int
 
 
+class _Buffer(Arena):
+    """Buffer of the GPU for `capacity` items."""
+
+    def __init__(self, context: Any, capacity: int, itemsize: int) -> None:
+        super().__init__(capacity)
+        self._context, self.itemsize = context, itemsize
+        self.buffer = context.buffer(reserve=capacity * itemsize)
+
+    @property
+    def n_bytes(self) -> int:
+        return self.capacity * self.itemsize
+
+    def grow(self, capacity: int) -> None:
+        old, self.buffer = self.buffer, self._context.buffer(reserve=capacity * self.itemsize)
+        self._context.copy_buffer(self.buffer, old)
+        old.release()
+        super().grow(capacity)
+
+
 class GpuStore:
     """`PieceStore` on the GPU, within `max_bytes`.
 
@@ -44,36 +63,30 @@ class GpuStore:
     """
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
-        self._context = context
         # Samples of a block and one more on each side.
         self.layers = LayeredTextures(
             context, side + 3, [SLOPES], max_bytes=max_bytes // _TEXTURE_SHARE
         )
+        self.max_blocks = self.layers.max_layers
         self._mesh_bytes = max_bytes - self.layers.max_bytes
-        self._vertices = Arena(_FIRST_VERTICES)
-        self._indices = Arena(_FIRST_INDICES)
-        self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
-        self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
+        self._vertices = _Buffer(context, _FIRST_VERTICES, VERTEX.itemsize)
+        self._indices = _Buffer(context, _FIRST_INDICES, _INDEX_BYTES)
         self.slots: dict[int, Slot] = {}
         # First index, number of indices and layer by node, for whole frames at once.
         self._places = np.zeros((256, 3), dtype=np.int64)
         self.generation = 0  # counts replaced buffers: vertex arrays on old ones are stale
 
     @property
-    def max_blocks(self) -> int:
-        """Return how many patches fit at most."""
-        return self.layers.max_layers
-
-    @property
     def n_bytes(self) -> int:
-        """Return the bytes of all buffers and textures, used or not."""
-        meshes = self._vertices.capacity * VERTEX.itemsize + self._indices.capacity * _INDEX_BYTES
-        return meshes + self.layers.n_bytes
+        return self._vertices.n_bytes + self._indices.n_bytes + self.layers.n_bytes
 
     @property
-    def slopes(self) -> Any:
-        """Return the array texture of slopes."""
-        return self.layers.textures[0]
+    def vertex_buffer(self) -> Any:
+        return self._vertices.buffer
+
+    @property
+    def index_buffer(self) -> Any:
+        return self._indices.buffer
 
     def put(self, node: int, patch: Patch) -> bool:
         n_indices = patch.triangles.size
@@ -83,8 +96,10 @@ class GpuStore:
         layer = self.layers.take()
         if layer is None:
             return False
-        first_vertex = self._take("_vertices", len(patch.vertices))
-        first_index = None if first_vertex is None else self._take("_indices", n_indices)
+        first_vertex = self._take(self._vertices, self._indices, len(patch.vertices))
+        first_index = (
+            None if first_vertex is None else self._take(self._indices, self._vertices, n_indices)
+        )
         if first_vertex is None or first_index is None:
             self.layers.give_back(layer)
             if first_vertex is not None:
@@ -111,32 +126,15 @@ class GpuStore:
         self._indices.give_back(slot.first_index, slot.n_indices)
         self.layers.give_back(slot.layer)
 
-    def _take(self, name: str, size: int) -> int | None:
-        arena: Arena = getattr(self, name)
-        start = arena.take(size)
-        while start is None:
-            itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
-            other = self._indices if name == "_vertices" else self._vertices
-            other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
+    def _take(self, part: _Buffer, other: _Buffer, size: int) -> int | None:
+        while (start := part.take(size)) is None:
             # Twice as much; the last time only the remaining memory.
-            most = (self._mesh_bytes - other.capacity * other_size) // itemsize
-            capacity = min(2 * arena.capacity, most)
-            if capacity < arena.capacity + size:
+            capacity = min(2 * part.capacity, (self._mesh_bytes - other.n_bytes) // part.itemsize)
+            if capacity < part.capacity + size:
                 return None
-            self._grow_buffer(
-                "vertex_buffer" if name == "_vertices" else "index_buffer", capacity * itemsize
-            )
-            arena.grow(capacity)
-            start = arena.take(size)
+            part.grow(capacity)
+            self.generation += 1
         return start
-
-    def _grow_buffer(self, name: str, n_bytes: int) -> None:
-        old = getattr(self, name)
-        new = self._context.buffer(reserve=n_bytes)
-        self._context.copy_buffer(new, old)
-        old.release()
-        setattr(self, name, new)
-        self.generation += 1
 
     def commands(self, nodes: NDArray[np.int32]) -> NDArray[np.void]:
         """Return the draw commands of nodes; command k draws instance k."""

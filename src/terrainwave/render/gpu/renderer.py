@@ -127,17 +127,14 @@ class Renderer:
     # Persistent parts
 
     def set_drape(self, drape: Drape) -> None:
-        """Set the picture draped over the terrain."""
         self._drape.release()
         self._drape = _DrapeTexture(self._context, drape)
 
     def set_detail(self, drape: Drape) -> None:
-        """Set a finer part of the picture, drawn over it."""
         self._detail.release()
         self._detail = _DrapeTexture(self._context, drape)
 
     def set_water(self, water: Water) -> None:
-        """Set where water is shown."""
         self._found.release()
         self._found = _WaterTexture(self._context, water)
 
@@ -158,7 +155,6 @@ class Renderer:
         return self._ramp
 
     def palette(self, frames: Frames, style: Style) -> Palette:
-        """Return the colours of a frame."""
         if style.coloring == "slope":
             return slope_palette()
         if style.coloring == "error":
@@ -175,7 +171,6 @@ class Renderer:
         return absolute_palette(low, high, sea, frame.latitudes, water_from)
 
     def set_solid(self, solid: Solid) -> None:
-        """Set the block under the terrain."""
         release_all(self._solid)
         self._solid = SolidSurface(self._context, solid)
 
@@ -189,7 +184,6 @@ class Renderer:
             self._draw_sky(view, style)
 
     def draw(self, view: View, frames: Frames, style: Style) -> None:
-        """Draw one frame: the sky or the background, the terrain, the block under it."""
         self.clear(view, style)
         self.draw_terrain(view, frames, style)
         self.draw_solid(view, frames, style)
@@ -230,7 +224,6 @@ class Renderer:
             context.disable_direct(clip)
 
     def draw_solid(self, view: View, frames: Frames, style: Style) -> None:
-        """Draw walls, floor and lids into a picture that has its terrain."""
         if self._solid is not None and style.draws_solid:
             values = self._shared_uniforms(view, frames, style)
             self._solid.draw(self._scene.frame, view, values)

@@ -53,19 +53,12 @@ class BlockGrid(NamedTuple):
 
 
 class RegularBlock(NamedTuple):
-    """A block to draw.
+    """A block to draw."""
 
-    Parameters
-    ----------
-    heights : ndarray of float32, shape (n + 1, n + 1, 2)
-        Of its vertices (see `regular`) and of its parent's surface there, metres above `base`; NaN
-        in voids and past the raster's edge.
-    slopes : ndarray of float16, shape (n + 3, n + 3, 3)
-        As in `PatchBuilder.slopes`.
-    """
-
+    # shape (n + 1, n + 1, 2); of its vertices (see `regular`) and of its parent's surface there,
+    # metres above `base`; NaN in voids and past the raster's edge
     heights: Heights
-    slopes: NDArray[np.float16]
+    slopes: NDArray[np.float16]  # shape (n + 3, n + 3, 3); as in `PatchBuilder.slopes`
     n_triangles: int
     base: float
     error: float
@@ -124,11 +117,9 @@ class Batched(BoundedMode):
     # The tree, from the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the only root block."""
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return the blocks one level finer."""
         return [self._info(child) for child in self.terrain.grid.children(piece.block)]
 
     def _info(self, block: Block) -> NodeInfo:
@@ -166,8 +157,6 @@ class Batched(BoundedMode):
     # In workers
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
-        """Return vertices and slopes of a block."""
-
         def check() -> None:
             if is_cancelled():
                 raise Cancelled
@@ -211,7 +200,6 @@ class Batched(BoundedMode):
         self.terrain.decoder.prefetch(keys)
 
     def grid(self, block: Block) -> BlockGrid:
-        """Return a block's heights and their error, through a cache."""
         return self._grids.get_or_make(block, lambda: self._grid(block))
 
     def _grid(self, block: Block) -> BlockGrid:

@@ -61,7 +61,6 @@ class Dynamic(FrontMode):
         matrix: tuple[float, ...],
         base_error: float,
     ) -> DynamicMesh:
-        """Return the trees of a patch. Thread-safe."""
         return DynamicMesh(
             heights,
             sample_matrix=matrix,
@@ -86,7 +85,6 @@ class Dynamic(FrontMode):
         return sum(float(np.max(rise, initial=0.0, where=~np.isnan(rise))) for rise in rises)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Update the marks of a patch for a view."""
         followed: Followed = patch.mesh.follow(
             eye, tau, morph=self.morph, max_vertices=max_vertices, is_stepwise=self._is_stepwise
         )

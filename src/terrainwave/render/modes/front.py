@@ -50,23 +50,13 @@ ALL_OPEN = (True, True, True, True)
 
 
 class Drawn(NamedTuple):
-    """A mesh for one frame.
+    """A mesh for one frame."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n, 3)
-        Local metres, heights with exaggeration.
-    triangles : ndarray of int32, shape (m, 3)
-        Those of skirts come last, patch by patch.
-    sizes : ndarray of int32, shape (n,)
-        For `--coloring level`: log2 of the vertex's share of the full grid.
-    depths : ndarray of float64, shape (n,)
-        Largest depth of a vertex at a skirt's lower end; -1 for all others.
-    """
-
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # shape (n, 3); local metres, heights with exaggeration
+    triangles: NDArray[np.int32]  # shape (m, 3); those of skirts come last, patch by patch
+    # shape (n,); for `--coloring level`: log2 of the vertex's share of the full grid
     sizes: NDArray[np.int32]
+    # shape (n,); largest depth of a vertex at a skirt's lower end; -1 for all others
     depths: NDArray[np.float64]
 
     @classmethod
@@ -76,57 +66,35 @@ class Drawn(NamedTuple):
         triangles: NDArray[np.int32],
         sizes: NDArray[np.int32],
     ) -> Self:
-        """Return a mesh without skirts."""
         return cls(vertices, triangles, sizes, np.full(len(vertices), -1.0))
 
 
 class PatchFrame(NamedTuple):
-    """The mesh of a patch for one frame.
-
-    Parameters
-    ----------
-    drawn : Drawn
-    edges : ndarray of int32, shape (k, 2)
-        Vertices of edges to neighbours that are not joined to it.
-    error : float
-        Vertical distance of the mesh from the samples of its level where such edges and those of
-        neighbours are in view; metres, without exaggeration.
-    """
+    """The mesh of a patch for one frame."""
 
     drawn: Drawn
+    # shape (k, 2); vertices of edges to neighbours that are not joined to it
     edges: NDArray[np.int32]
+    # vertical distance of the mesh from the samples of its level where such edges and those of
+    # neighbours are in view; metres, without exaggeration
     error: float
 
 
 class PatchSamples(NamedTuple):
-    """A rectangle of a level.
-
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; NaN in voids.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        Metres per metre to the east and to the north, and heights (`HeightTexels`).
-    """
+    """A rectangle of a level."""
 
     region: Region
-    heights: NDArray[np.float64]
+    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
+    # shape (n_rows, n_cols, 3); metres per metre to the east and to the north, and heights
+    # (`HeightTexels`)
     slopes: NDArray[np.float16]
 
 
 class Continued(NamedTuple):
-    """The heights of a patch, and of samples beyond the raster's outline.
+    """The heights of a patch, and of samples beyond the raster's outline."""
 
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; NaN in voids.
-    lead : tuple of int
-        Rows and columns before those of the patch.
-    """
-
-    heights: NDArray[np.float64]
-    lead: tuple[int, int]
+    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
+    lead: tuple[int, int]  # rows and columns before those of the patch
 
 
 @dataclass(frozen=True)
@@ -174,7 +142,6 @@ class FrontPatch:
     floors: None = None
 
     def places(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return columns and rows of its samples under local x, y; shape (n, 2)."""
         a, b, c, d, e, f = self.matrix
         inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
         return (vertices[:, :2] - (c, f)) @ inverse.T
@@ -283,7 +250,6 @@ class FrontMode(Mode):
         ]
 
     def region(self, piece: Piece) -> Region:
-        """Return the samples of a piece within its level."""
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
@@ -328,7 +294,6 @@ class FrontMode(Mode):
         return [Block(level, row, col) for row in rows for col in cols]
 
     def _info(self, piece: Piece) -> NodeInfo:
-        """Return box and error of a piece from the index."""
         terrain = self.terrain
         region = self.region(piece)
         stride = terrain.grid.stride(piece.level)
@@ -355,7 +320,6 @@ class FrontMode(Mode):
     # In worker threads
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
-        """Return the patch of a piece. Thread-safe."""
         region = self.region(piece)
         info = self._info(piece)
         children = self.children(piece)
@@ -418,11 +382,9 @@ class FrontMode(Mode):
     # Loading and dropping of pieces
 
     def keep(self, piece: Piece, built: Any) -> None:
-        """Add a patch."""
         self._patches[piece] = built
 
     def drop(self, piece: Piece) -> None:
-        """Remove a patch."""
         del self._patches[piece]
 
     # Each frame
@@ -516,7 +478,6 @@ class FrontMode(Mode):
         return max(min(self.max_triangles // 3, MAX_VERTICES), least)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Update the mesh of a patch."""
         followed: Followed = patch.mesh.follow(eye, tau, morph=MORPH, max_vertices=max_vertices)
         return followed
 

@@ -34,51 +34,27 @@ NO_PROMISE = 1e6
 
 
 class Frames(NamedTuple):
-    """Nodes to draw, each with distance, morph and skirt.
+    """Nodes to draw, each with distance, morph and skirt."""
 
-    Parameters
-    ----------
-    nodes : ndarray of int32, shape (n,)
-    distances : ndarray of float64, shape (n,)
-        From the eye to the nearest part of the box, metres.
-    morphs : ndarray of float64, shape (n,)
-        Share of the parent's surface, 0 … 1.
-    skirts : ndarray of float64, shape (n,)
-        Depth of skirts, local metres.
-    n_triangles : int
-    tau : float
-        Pixels; above the requested one if limits require it.
-    n_missing : int
-        Wanted pieces that are not loaded yet.
-    """
-
-    nodes: NDArray[np.int32]
+    nodes: NDArray[np.int32]  # shape (n,)
+    # shape (n,); from the eye to the nearest part of the box, metres
     distances: NDArray[np.float64]
-    morphs: NDArray[np.float64]
-    skirts: NDArray[np.float64]
+    morphs: NDArray[np.float64]  # shape (n,); share of the parent's surface, 0 … 1
+    skirts: NDArray[np.float64]  # shape (n,); depth of skirts, local metres
     n_triangles: int
-    tau: float
-    n_missing: int
+    tau: float  # pixels; above the requested one if limits require it
+    n_missing: int  # wanted pieces that are not loaded yet
 
 
 class ModeNeeds(NamedTuple):
-    """Arguments of every mode.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    frame : Frame
-        Local metres; its exaggeration is not used: the GPU applies it.
-    error : str
-        One of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
-        ("paper"), or the file's wavelet coefficients ("coefficient").
-    progress : callable, optional
-        Called with a `Progress` if the mode needs long preparation.
-    """
+    """Arguments of every mode."""
 
     terrain: "TerrainFile"
-    frame: Frame
+    frame: Frame  # local metres; its exaggeration is not used: the GPU applies it
+    # one of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
+    # ("paper"), or the file's wavelet coefficients ("coefficient")
     error: str = ERRORS[0]
+    # called with a `Progress` if the mode needs long preparation
     progress: ProgressCallback | None = None
 
 

@@ -36,7 +36,6 @@ class RqtMode(FrontMode):
         matrix: tuple[float, ...],
         base_error: float,
     ) -> RestrictedMesh:
-        """Return the quadtree of a patch, of one tile. Thread-safe."""
         return RestrictedMesh(
             heights,
             tile=max(1 << (max(heights.shape) - 2).bit_length(), 2),
@@ -62,7 +61,6 @@ class RqtMode(FrontMode):
         return magnitudes * abs(self._scale.per_quantum)
 
     def frames_of(self, eye: Eye) -> list[PatchFrame]:
-        """Return the meshes of `shown`, which have followed the eye."""
         return [
             self._frame_of(patch, eye, followed)
             for patch, followed in zip(self.shown, self.followed, strict=True)

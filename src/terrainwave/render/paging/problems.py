@@ -51,7 +51,6 @@ class Problems:
         self._message = ""
 
     def add(self, piece: Hashable, error: Exception) -> None:
-        """Record why a piece could not be built."""
         if not (self._retries and isinstance(error, SourceUnavailableError)):
             self.damaged[piece] = str(error)
             return
@@ -79,19 +78,16 @@ class Problems:
         return self._n_replies != n_before
 
     def holds(self, piece: Hashable) -> bool:
-        """Return whether a piece must not be requested now."""
         if self._held and self._clock() >= self._try_at:
             self._held.clear()
         return piece in self._held or piece in self.damaged
 
     @property
     def is_clear(self) -> bool:
-        """Return whether nothing is held back."""
         return not self._held and not self.damaged
 
     @property
     def n_held(self) -> int:
-        """Return the number of pieces that wait for the end of a pause."""
         return len(self._held)
 
     def lines(self, n_missing: int = 0) -> list[str]:

@@ -166,7 +166,6 @@ class Scene:
         self.close()
 
     def close(self) -> None:
-        """Stop the workers."""
         # A server that is silent would hold them for long.
         self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
         if self._ahead_reader is not None:
@@ -200,7 +199,6 @@ class Scene:
 
     @property
     def n_cancelled(self) -> int:
-        """Return how many pieces were no longer wanted while they were built."""
         return self._pager.n_cancelled
 
     # One frame
@@ -321,7 +319,6 @@ class Scene:
         )  # fmt: skip
 
     def _split_error(self, view: View) -> float:
-        """Return the τ below which blocks are split, before the governor."""
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
 
     # Paging
@@ -365,7 +362,6 @@ class Scene:
         return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the nodes that are not here and can be asked for."""
         absent = wanted[~self.table.is_resident[wanted]]
         if self.problems.is_clear:
             return absent

@@ -71,7 +71,6 @@ class Camera:
 
     @property
     def forward(self) -> Vector:
-        """Return the unit vector of the view."""
         forward: Vector = self.axes[2]
         return forward
 
@@ -85,7 +84,6 @@ class Viewport:
 
     @property
     def aspect(self) -> float:
-        """Return width / height."""
         return self.width / self.height
 
 

@@ -37,43 +37,23 @@ _MOST_LATITUDE = 89.9
 
 @dataclass(frozen=True)
 class Frame:
-    """Conversion of samples and world coordinates to local metres.
+    """Conversion of samples and world coordinates to local metres."""
 
-    Parameters
-    ----------
-    centre : tuple of float
-        x, y in the CRS of the local origin.
-    metres : tuple of float
-        Metres per unit of x, y and height, without exaggeration; > 0, except for heights that are
-        depths: up is positive in local metres.
-    sample_matrix : tuple of float
-        (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
-    shape : tuple of int
-        Rows and columns of the full grid.
-    heights : tuple of float
-        Lowest and highest height in the file's unit.
-    exaggeration : float
-        Local z is the height in metres times this.
-    body : str
-        One of `place.bodies`' names.
-    latitudes : tuple of float, optional
-        In degrees, at the middle of the lower and the upper side.
-    axes : LocalAxes, optional
-        Metres to the east and north of steps along x and y; by default x points east and y north.
-    zero : float
-        The number in the file's unit at local z 0: for radii the body's own.
-    """
-
-    centre: tuple[float, float]
+    centre: tuple[float, float]  # x, y in the CRS of the local origin
+    # metres per unit of x, y and height, without exaggeration; > 0, except for heights that are
+    # depths: up is positive in local metres
     metres: tuple[float, float, float]
+    # (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples
     sample_matrix: tuple[float, float, float, float, float, float]
-    shape: tuple[int, int]
-    heights: tuple[float, float]
-    exaggeration: float = 1.0
-    body: str = UNKNOWN
+    shape: tuple[int, int]  # rows and columns of the full grid
+    heights: tuple[float, float]  # lowest and highest height in the file's unit
+    exaggeration: float = 1.0  # local z is the height in metres times this
+    body: str = UNKNOWN  # one of `place.bodies`' names
+    # in degrees, at the middle of the lower and the upper side
     latitudes: tuple[float, float] | None = None
+    # metres to the east and north of steps along x and y; by default x points east and y north
     axes: LocalAxes | None = None
-    zero: float = 0.0
+    zero: float = 0.0  # the number in the file's unit at local z 0: for radii the body's own
 
     @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -117,7 +97,6 @@ class Frame:
 
     @property
     def solid_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the box of the terrain and the block under it."""
         low, high = self.box
         return np.array([low[0], low[1], self.base]), high.copy()
 
@@ -182,7 +161,6 @@ class Frame:
 
     @cached_property
     def _matrix(self) -> NDArray[np.float64]:
-        """Return the matrix from differences in the file's CRS and unit to local metres."""
         per_x, per_y, per_height = self.metres
         matrix = np.diag([per_x, per_y, per_height * self.exaggeration])
         if self.axes is not None:

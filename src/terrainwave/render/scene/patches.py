@@ -46,43 +46,25 @@ class Cancelled(Exception):
 
 
 class Patch(NamedTuple):
-    """A piece to draw.
-
-    Parameters
-    ----------
-    vertices : structured ndarray of VERTEX
-    triangles : ndarray of uint32, shape (n, 3)
-        The surface's, then those of skirts.
-    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 3)
-        Metres per metre to the east and to the north at the block's samples and around them.
-    base : float
-        Height of z = 0, metres.
-    error : float
-        Used for selection: no valid original is further from the surface, metres; with
-        `PatchBuilder.is_loose`, from the guaranteed surface.
-    drawn_error : float
-        No valid original is further from the drawn surface, metres.
-    morph : float
-        Largest distance between the surface and its parent's at vertices, metres.
-    children : list of NodeInfo
-    floors : Floors
-        Lower limits of the surface, within `drawn_error`.
-    """
+    """A piece to draw."""
 
     piece: Piece
-    vertices: NDArray[np.void]
-    triangles: NDArray[np.uint32]
+    vertices: NDArray[np.void]  # of VERTEX
+    triangles: NDArray[np.uint32]  # shape (n, 3); the surface's, then those of skirts
+    # shape (n_rows + 2, n_cols + 2, 3); metres per metre to the east and to the north at the
+    # block's samples and around them
     slopes: NDArray[np.float16]
-    base: float
+    base: float  # height of z = 0, metres
+    # used for selection: no valid original is further from the surface, metres; with
+    # `PatchBuilder.is_loose`, from the guaranteed surface
     error: float
-    drawn_error: float
-    morph: float
+    drawn_error: float  # no valid original is further from the drawn surface, metres
+    morph: float  # largest distance between the surface and its parent's at vertices, metres
     children: list[NodeInfo]
-    floors: Floors
+    floors: Floors  # lower limits of the surface, within `drawn_error`
 
     @property
     def n_triangles(self) -> int:
-        """Return the number of drawn triangles, including skirts."""
         return len(self.triangles)
 
     @property
@@ -128,18 +110,15 @@ class PatchBuilder:
     # From the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the root blocks."""
         return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return the children of a piece: its next variant, or the blocks one level finer."""
         if piece.variant:
             return [self.info(piece._replace(variant=piece.variant - 1))]
         error = self.error(piece)
         return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
 
     def parent(self, piece: Piece) -> Piece | None:
-        """Return the parent of a piece, None for a root."""
         if piece.level == self._terrain.n_levels - 1:
             next_one = piece._replace(variant=piece.variant + 1)
             above = Piece(*piece.block.parent) if piece.level else None
@@ -173,7 +152,6 @@ class PatchBuilder:
         return own << _VARIANT_BITS * variant
 
     def info(self, piece: Piece) -> NodeInfo:
-        """Return box and error of a piece."""
         block = piece.block
         region = self._terrain.grid.full_region(block)
         rows = np.array([region.row, region.row + region.n_rows - 1])
@@ -191,7 +169,6 @@ class PatchBuilder:
         )
 
     def error(self, piece: Piece) -> float:
-        """Return the stated error of a piece, in metres."""
         if piece.variant:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
@@ -229,7 +206,6 @@ class PatchBuilder:
     # Patches
 
     def mesh(self, piece: Piece) -> BlockMesh:
-        """Return the mesh of a piece, through a cache."""
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
     def _triangulate(self, piece: Piece) -> BlockMesh:

@@ -20,18 +20,10 @@ _LEAST_SLOPE, _LARGEST_HEIGHT = 2.0**-14, 6e4
 
 @dataclass(frozen=True)
 class HeightScale:
-    """Metres, without exaggeration, of decoded quanta.
+    """Metres, without exaggeration, of decoded quanta."""
 
-    Parameters
-    ----------
-    per_quantum : float
-        Negative if the raster's scale is.
-    zero : float
-        Metres of quantum 0.
-    """
-
-    per_quantum: float
-    zero: float
+    per_quantum: float  # negative if the raster's scale is
+    zero: float  # metres of quantum 0
 
     @classmethod
     def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
@@ -59,7 +51,6 @@ class HeightTexels:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
-        """Return the conversion for the heights of a frame."""
         low, high = frame.height_range
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)

@@ -95,7 +95,6 @@ class Controls:
         return self.pace * min(max(height, _LEAST_HEIGHT), self._extent)
 
     def press(self, key: str, viewport: Viewport) -> None:
-        """Handle a pressed key."""
         self._held.add(key)
         scene, box = self._scene, self._scene.frame.box
         if key == "escape":
@@ -139,7 +138,6 @@ class Controls:
             self.wishes.append(_WISHES[key])
 
     def _move_sun(self, sign: int) -> None:
-        """Turn the sun, or with Shift raise or lower it."""
         azimuth, altitude = self.style.sun
         if "shift" in self._held:
             altitude = min(max(altitude + 5 * sign, _LOWEST_SUN), _HIGHEST_SUN)
@@ -148,7 +146,6 @@ class Controls:
         self.style = replace(self.style, sun=(azimuth, altitude))
 
     def release(self, key: str) -> None:
-        """Handle a released key."""
         self._held.discard(key)
 
     def tick(self, seconds: float) -> None:

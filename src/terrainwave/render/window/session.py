@@ -205,11 +205,9 @@ class Session:
     # Messages
 
     def note(self, line: str) -> None:
-        """Show a line for some seconds."""
         self._notes.append((time.monotonic() + _NOTE_SECONDS, line))
 
     def lines(self, frames: Frames) -> list[str]:
-        """Return the lines below the numbers of the frame."""
         now = time.monotonic()
         self._notes = [(until, line) for until, line in self._notes if until > now]
         lines = self._scene.problems.lines(frames.n_missing)

@@ -170,7 +170,6 @@ class DynamicMesh:
 
     @property
     def n_nodes(self) -> int:
-        """Return the number of nodes of all heights."""
         return len(self.marks)
 
     @property
@@ -319,25 +318,14 @@ class DynamicMesh:
 
 
 class ForestPart(NamedTuple):
-    """A mesh among others of the same samples, next to each other.
+    """A mesh among others of the same samples, next to each other."""
 
-    Parameters
-    ----------
-    mesh : DynamicMesh
-        All have trees of one size, arranged in the plane like their trees.
-    followed : Followed
-        What `follow` returned.
-    first : tuple of int
-        Row and column of its first tree, from a common origin.
-    owned : tuple of slice
-        Rows and columns of the trees that only this mesh draws. Adjacent ones are drawn where no
-        mesh owns a tree. Measured errors equal those of a single mesh if the mesh has the trees
-        next to these, too.
-    """
-
-    mesh: DynamicMesh
-    followed: Followed
-    first: tuple[int, int] = (0, 0)
+    mesh: DynamicMesh  # all have trees of one size, arranged in the plane like their trees
+    followed: Followed  # what `follow` returned
+    first: tuple[int, int] = (0, 0)  # row and column of its first tree, from a common origin
+    # rows and columns of the trees that only this mesh draws. Adjacent ones are drawn where no mesh
+    # owns a tree. Measured errors equal those of a single mesh if the mesh has the trees next to
+    # these, too.
     owned: tuple[slice, slice] = (slice(None), slice(None))
 
 
@@ -434,7 +422,6 @@ def _moved(nodes: NDArray[np.int32], top: int, row: int, col: int) -> NDArray[np
 
 
 def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[np.int32]:
-    """Return the edges of `fill_rim`."""
     if not any(open_sides):
         return np.empty((0, 3), dtype=np.int32)
     is_here = np.pad(forest.owners != NOBODY, 1)

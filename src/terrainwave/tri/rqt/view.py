@@ -63,39 +63,18 @@ _ROOM = 4 * _MOST_DEPENDENCIES  # for dependents of one vertex
 
 
 class RestrictedFrame(NamedTuple):
-    """A mesh for one view.
+    """A mesh for one view."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n_vertices, 3)
-        Heights are multiplied by the view's factor.
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Counter-clockwise seen from above.
-    places : ndarray of int32, shape (n_vertices, 2)
-        Row and column of each vertex's sample.
-    edges : ndarray of int32, shape (n_edges, 2)
-        Vertices of the edges along open sides.
-    border_error : float
-        Vertical distance of edges in view from the samples on them.
-    n_active : int
-        Vertices of the quadtree, including those in voids.
-    n_touched : int
-        Vertices whose error on screen was computed.
-    n_changed : int
-        Vertices that were split or merged.
-    tau : float
-        Pixels; above the requested one if the budget requires it.
-    """
-
+    # shape (n_vertices, 3); heights are multiplied by the view's factor
     vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    places: NDArray[np.int32]
-    edges: NDArray[np.int32]
-    border_error: float
-    n_active: int
-    n_touched: int
-    n_changed: int
-    tau: float
+    triangles: NDArray[np.int32]  # shape (n_triangles, 3); counter-clockwise seen from above
+    places: NDArray[np.int32]  # shape (n_vertices, 2); row and column of each vertex's sample
+    edges: NDArray[np.int32]  # shape (n_edges, 2); vertices of the edges along open sides
+    border_error: float  # vertical distance of edges in view from the samples on them
+    n_active: int  # vertices of the quadtree, including those in voids
+    n_touched: int  # vertices whose error on screen was computed
+    n_changed: int  # vertices that were split or merged
+    tau: float  # pixels; above the requested one if the budget requires it
 
 
 class RestrictedMesh:
@@ -179,7 +158,6 @@ class RestrictedMesh:
     def _measure(
         self, base_error: float, coefficients: NDArray[np.floating] | None
     ) -> NDArray[np.float32]:
-        """Return the errors of all vertices."""
         errors = np.zeros_like(self._heights)
         own = np.zeros((0, 0), dtype=np.float32)
         if coefficients is not None:
@@ -362,7 +340,6 @@ class RestrictedMesh:
         return np.array([*numbers, *self._matrix], dtype=np.float64)
 
     def _widths(self) -> tuple[float, float]:
-        """Return the lengths of a step of rows and columns along x and y."""
         a, b, _, d, e, _ = self._matrix
         return abs(a) + abs(b), abs(d) + abs(e)
 
