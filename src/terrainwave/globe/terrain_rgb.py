@@ -93,29 +93,18 @@ def encoding_of(name: str) -> Encoding:
 
 @dataclass(frozen=True)
 class RgbTile:
-    """A terrain-RGB tile.
+    """A terrain-RGB tile."""
 
-    Attributes
-    ----------
-    png : bytes
-        `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent.
-    error : float
-        Metres. Largest distance found between the tile's bilinear surface, in the steps of its
-        encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
-        pixels and halfway between them: resampling to Web Mercator and rounding.
-    terrain_error : float
-        Metres. No original under the tile is further from the bilinear surface of those decoded
-        samples (measured when the file was written, `Terrain.block_error`).
-    level : int
-        The resolution level of the samples, counted from 0.
-    voids : ndarray of uint8, shape (TILE_SIZE, TILE_SIZE)
-        Void share of each pixel: 0 nothing, 255 all.
-    """
-
-    png: bytes
+    png: bytes  # `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent
+    # metres. Largest distance found between the tile's bilinear surface, in the steps of its
+    # encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
+    # pixels and halfway between them: resampling to Web Mercator and rounding.
     error: float
+    # metres. No original under the tile is further from the bilinear surface of those decoded
+    # samples (measured when the file was written, `Terrain.block_error`).
     terrain_error: float
-    level: int
+    level: int  # the resolution level of the samples, counted from 0
+    # shape (TILE_SIZE, TILE_SIZE); void share of each pixel: 0 nothing, 255 all
     voids: NDArray[np.uint8]
 
 

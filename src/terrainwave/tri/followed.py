@@ -63,12 +63,7 @@ def check_budget(max_vertices: int | None, least: int, what: str) -> None:
 
 
 class Pressure:
-    """Factor of τ, at least 1, that rises at once and falls slowly.
-
-    Attributes
-    ----------
-    factor : float
-    """
+    """Factor of τ, at least 1, that rises at once and falls slowly."""
 
     def __init__(self) -> None:
         self.factor = 1.0

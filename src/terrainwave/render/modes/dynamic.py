@@ -29,18 +29,13 @@ class Dynamic(FrontMode):
         Change marks by one height per frame, as in the paper.
     tree : int, optional
         Samples per side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
-
-    Attributes
-    ----------
-    samples : int
-        Samples per side of a patch; without its apron in modes whose patches overlap.
     """
 
     name = "dynamic"
     options = ("stepwise", "tree")
     morph = MORPH
     tree = 16
-    samples = 256
+    samples = 256  # samples per side of a patch; without its apron in modes whose patches overlap
     sample_bytes = 11
 
     def __init__(self, needs: ModeNeeds, *, stepwise: bool = False, tree: int | None = None):

@@ -160,37 +160,17 @@ def eye_of(view: View) -> Eye:
 
 
 class FrontMode(Mode):
-    """Mode of patches whose meshes follow the camera.
+    """Mode of patches whose meshes follow the camera."""
 
-    Attributes
-    ----------
-    cells : int
-        Of a patch, per side.
-    apron, beyond : int
-        Samples by which patches extend beyond their first row and column, and beyond those of their
-        cells.
-    tree : int
-        Meshes have this number of samples per side, or a multiple of it, and may end half as many
-        short of their last ones.
-    sample_bytes : int
-        Of a mesh, at most.
-    scratch : Scratch
-        Of the thread that draws.
-    drawn : Drawn, optional
-        The mesh of the last frame.
-    shown : list of FrontPatch
-        Patches of the last frame, in the order of `Frames.nodes`.
-    followed : list of Followed
-        Statistics of their meshes.
-    first_vertices : list of int
-        First vertex of each in `drawn`.
-    """
-
-    cells: int
+    cells: int  # of a patch, per side
+    # `apron, beyond`: samples by which patches extend beyond their first row and column, and beyond
+    # those of their cells
     apron: int = 0
     beyond: int = 1
+    # meshes have this number of samples per side, or a multiple of it, and may end half as many
+    # short of their last ones
     tree: int = 1
-    sample_bytes: int
+    sample_bytes: int  # of a mesh, at most
 
     def __init__(self, needs: ModeNeeds) -> None:
         super().__init__(needs)
@@ -198,14 +178,15 @@ class FrontMode(Mode):
         self._scale = HeightScale.of(terrain, frame)
         self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}
-        self.scratch = Scratch()
+        self.scratch = Scratch()  # of the thread that draws
         self._pressure, self._shortage = Pressure(), 1.0
         self._last_camera: Camera | None = None
         self._is_short = False
-        self.drawn: Drawn | None = None
+        self.drawn: Drawn | None = None  # the mesh of the last frame
+        # patches of the last frame, in the order of `Frames.nodes`
         self.shown: list[FrontPatch] = []
-        self.followed: list[Followed] = []
-        self.first_vertices: list[int] = []
+        self.followed: list[Followed] = []  # statistics of their meshes
+        self.first_vertices: list[int] = []  # first vertex of each in `drawn`
 
     # The tree
 

@@ -59,32 +59,17 @@ class ModeNeeds(NamedTuple):
 
 
 class Mode(ABC):
-    """Way to draw a terrain. Thread-safe only where stated.
+    """Way to draw a terrain. Thread-safe only where stated."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``--mode``.
-    errors : tuple of str
-        Supported errors, as in ``--error``.
-    options : tuple of str
-        Further options, as in `Scene` and on the command line; keywords of its constructor.
-    is_partwise : bool
-        All finest pieces are drawn, as many at a time as the store holds.
-    n_levels : int
-        Of its pieces; level 0 is the coarsest.
-    is_oriented : bool
-        Errors count by the direction from which they are seen (`View.is_oriented`).
-    max_triangles : int
-        Per frame, for modes that make their triangles in `frames`: they raise τ beyond it.
-        Triangles of pieces are counted by the selection.
-    """
-
-    name: str
-    errors: tuple[str, ...] = ERRORS
+    name: str  # as in ``--mode``
+    errors: tuple[str, ...] = ERRORS  # supported errors, as in ``--error``
+    # further options, as in `Scene` and on the command line; keywords of its constructor
     options: tuple[str, ...] = ()
-    is_partwise = False
+    is_partwise = False  # all finest pieces are drawn, as many at a time as the store holds
+    # errors count by the direction from which they are seen (`View.is_oriented`)
     is_oriented = False
+    # per frame, for modes that make their triangles in `frames`: they raise τ beyond it. Triangles
+    # of pieces are counted by the selection.
     max_triangles = MAX_TRIANGLES
 
     def __init__(self, needs: ModeNeeds) -> None:
@@ -94,7 +79,7 @@ class Mode(ABC):
                 f" {', '.join(self.errors)}"
             )
         self.terrain, self.frame, self.error, self.progress = needs
-        self.n_levels = self.terrain.n_levels
+        self.n_levels = self.terrain.n_levels  # of its pieces; level 0 is the coarsest
 
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as some modes need it

@@ -37,12 +37,6 @@ class Pager(Workers):
     max_ready : int
         Largest number of waiting results, at which workers pause: memory is bounded by
         ``max_ready + n_workers`` of them.
-
-    Attributes
-    ----------
-    build_ms : deque of float
-        Processor time of the last builds, milliseconds.
-    n_cancelled : int
     """
 
     def __init__(
@@ -58,6 +52,7 @@ class Pager(Workers):
         self._running: dict[Hashable, _Running] = {}
         self._ready: deque[Arrival] = deque()
         self._ready_keys: set[Hashable] = set()
+        # processor time of the last builds, milliseconds
         self.build_ms: deque[float] = deque(maxlen=_KEPT_TIMES)
         self.n_cancelled = 0
         super().__init__("pager", n_workers)

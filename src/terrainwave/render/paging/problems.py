@@ -28,11 +28,6 @@ class Problems:
         Returns the number of replies of a server, whose silence is reported. None: no server.
     clock : callable
         Seconds.
-
-    Attributes
-    ----------
-    damaged : dict of hashable to str
-        Message for each piece.
     """
 
     def __init__(
@@ -42,7 +37,7 @@ class Problems:
         n_replies: Callable[[], int] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.damaged: dict[Hashable, str] = {}
+        self.damaged: dict[Hashable, str] = {}  # message for each piece
         self._retries, self._count, self._clock = retries, n_replies, clock
         self._n_replies = 0  # at the last check
         self._held: set[Hashable] = set()

@@ -83,31 +83,18 @@ class Timings:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions(DrawnOptions):
-    """Options of a `Scene`.
+    """Options of a `Scene`."""
 
-    Parameters
-    ----------
-    max_triangles : int
-        Per frame; τ is raised beyond it.
-    target_ms : float, optional
-        Per frame; τ is raised where it takes longer.
-    horizon : bool
-        Blocks behind nearer ground are neither drawn nor asked for, in modes adaptive, batched and
-        loose with measured errors, while the eye is above the ground.
-    n_workers : int
-        Threads that read, decode and build.
-    retries : bool
-        Ask again for what a server did not send, after pauses, and the roots too; by default what
-        cannot be read is drawn coarser, and a root raises.
-    progress : callable, optional
-        Called with a `Progress` where a mode prepares for long.
-    """
-
-    max_triangles: int = MAX_TRIANGLES
-    target_ms: float | None = None
+    max_triangles: int = MAX_TRIANGLES  # per frame; τ is raised beyond it
+    target_ms: float | None = None  # per frame; τ is raised where it takes longer
+    # blocks behind nearer ground are neither drawn nor asked for, in modes adaptive, batched and
+    # loose with measured errors, while the eye is above the ground
     horizon: bool = True
-    n_workers: int = 2
+    n_workers: int = 2  # threads that read, decode and build
+    # ask again for what a server did not send, after pauses, and the roots too; by default what
+    # cannot be read is drawn coarser, and a root raises
     retries: bool = False
+    # called with a `Progress` where a mode prepares for long
     progress: ProgressCallback | None = None
 
 

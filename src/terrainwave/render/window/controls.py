@@ -58,15 +58,6 @@ class Controls:
     """Camera and style of a viewer, changed by keys and mouse.
 
     Keys are names: letters, ``tab``, ``home``, ``shift`` and so on.
-
-    Attributes
-    ----------
-    pace : float
-        Of flying: shares of the height above the ground, per second.
-    height_over_ground : float, optional
-        Local metres; None while unknown.
-    wishes : list of str
-        Requests of keys to others, in order; removed by the one who fulfils them.
     """
 
     def __init__(self, scene: Scene, camera: Camera, style: Style, max_pixel_error: float) -> None:
@@ -78,9 +69,10 @@ class Controls:
         self.shows_help = False
         self.is_closing = False
         self.is_measuring = False
+        # requests of keys to others, in order; removed by the one who fulfils them
         self.wishes: list[str] = []
-        self.pace = _FIRST_PACE
-        self.height_over_ground: float | None = None
+        self.pace = _FIRST_PACE  # of flying: shares of the height above the ground, per second
+        self.height_over_ground: float | None = None  # local metres; None while unknown
         low, high = scene.frame.box
         self._extent = float(np.linalg.norm(high - low))
         self._dragged = 0.0  # pixels since a button went down

@@ -41,12 +41,6 @@ class Session:
         Of the body in metres, for degrees.
     folder : path
         Directory for written files.
-
-    Attributes
-    ----------
-    background, slow : Background
-        Work for clicks and keys, and separately for anything slower, so that answers do not wait
-        for it.
     """
 
     def __init__(
@@ -59,6 +53,8 @@ class Session:
         folder: str = ".",
     ) -> None:
         self._scene, self.controls, self._say, self._folder = scene, controls, say, folder
+        # `background, slow`: work for clicks and keys, and separately for anything slower, so that
+        # answers do not wait for it
         self.background, self.slow = Background(), Background()
         table = scene.table if hasattr(scene.mode, "builder") else None
         self._ground = Ground(scene.terrain, table, self.background)

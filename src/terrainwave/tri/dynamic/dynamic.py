@@ -110,15 +110,6 @@ class DynamicMesh:
     scratch : Scratch, optional
         Memory that meshes drawn by one thread share.
 
-    Attributes
-    ----------
-    matrix : tuple of float
-        `sample_matrix`.
-    marks : ndarray of uint8, shape (n_nodes,)
-        `INNER`, `ROOT` or, below a root, `BELOW`.
-    has_changed : ndarray of uint8, shape (patch rows, patch columns)
-        Patches with changed marks; cleared by the user of a copy of the marks.
-
     Raises
     ------
     InvalidHeightsError
@@ -145,16 +136,19 @@ class DynamicMesh:
         self.tree: HaarTree = build_tree(
             heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
         )
+        # shape (n_nodes,); `INNER`, `ROOT` or, below a root, `BELOW`
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
         self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
-        self.matrix = tuple(float(value) for value in sample_matrix)
+        self.matrix = tuple(float(value) for value in sample_matrix)  # `sample_matrix`
         self._is_mirrored = self.matrix[0] * self.matrix[4] < self.matrix[1] * self.matrix[3]
         self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
+        # shape (patch rows, patch columns); patches with changed marks; cleared by the user of a
+        # copy of the marks
         self.has_changed: NDArray[np.uint8] = np.ones(
             tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
         )
