@@ -74,37 +74,23 @@ class SideTolerances(NamedTuple):
 
 
 class BlockMesher:
-    """The stored mesh of any block of a file.
-
-    Parameters
-    ----------
-    error_code : callable
-        The index's error code of a block.
-    tolerance : int
-        Tolerance on the finest level, in 1/16 quanta.
-    has_voids : bool
-        True if the raster may have voids; neighbours are then decoded for their masks.
-    kind : str
-        ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`.
-    part : callable, optional
-        Returns the stored bytes of a block's mesh; needed for kinds other than halves.
-    trees : callable, optional
-        Returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any.
-    coefficients : callable, optional
-        Returns the coefficients that they follow (`mesh.trees.coefficient_source`), if any.
-    """
+    """The stored mesh of any block of a file."""
 
     def __init__(
         self,
         grid: Grid,
         decoder: LevelSamples,
-        error_code: ErrorCode,
-        tolerance: int,
+        error_code: ErrorCode,  # the index's error code of a block
+        tolerance: int,  # tolerance on the finest level, in 1/16 quanta
         *,
+        # True if the raster may have voids; neighbours are then decoded for their masks
         has_voids: bool,
-        kind: str = "halves",
+        kind: str = "halves",  # ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`
+        # returns the stored bytes of a block's mesh; needed for kinds other than halves
         part: Callable[[Block], bytes] | None = None,
+        # returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any
         trees: ZeroTrees | None = None,
+        # returns the coefficients that they follow (`mesh.trees.coefficient_source`), if any
         coefficients: BlockCoefficients | None = None,
     ) -> None:
         self._grid = grid

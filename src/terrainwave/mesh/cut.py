@@ -199,23 +199,17 @@ class Cut:
 
 
 class ErrorCut(Cut):
-    """The blocks to mesh for an error in quanta.
-
-    Parameters
-    ----------
-    samples_of : callable
-        Returns the samples of a block: levels do not meet where they are void.
-    are_nested : bool
-        Coarse samples are samples of finer levels, too, as adjacent meshes of both need.
-    """
+    """The blocks to mesh for an error in quanta."""
 
     def __init__(
         self,
         area: Area,
         errors: Errors,
         error: Fraction,
+        # returns the samples of a block: levels do not meet where they are void
         samples_of: Callable[[Block], BlockSamples],
         *,
+        # coarse samples are samples of finer levels, too, as adjacent meshes of both need
         are_nested: bool,
     ) -> None:
         super().__init__(area, {})

@@ -85,37 +85,23 @@ class _Drawn(NamedTuple):
 
 
 class Canvas:
-    """A scene with its own framebuffer, which the window shows and commands save.
-
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height in pixels.
-    mode : str
-        One of `terrainwave.render.modes.MODES`.
-    drape : str, optional
-        Path or URL of an orthophoto to drape over the terrain, as for `raster_io.drape.Photo`.
-    samples : int
-        Samples per pixel, for smooth edges; 0 none.
-    is_late : bool
-        Leave out parts that may take long to read: the block under the terrain until `set_solid`,
-        the orthophoto until the renderer's `set_drape`, and water until its `set_water`.
-    options
-        Of `Scene`.
-    """
+    """A scene with its own framebuffer, which the window shows and commands save."""
 
     def __init__(
         self,
         terrain: "TerrainFile",
-        size: tuple[int, int],
+        size: tuple[int, int],  # width and height in pixels
         *,
-        mode: str = "adaptive",
+        mode: str = "adaptive",  # one of `terrainwave.render.modes.MODES`
+        # path or URL of an orthophoto to drape over the terrain, as for `raster_io.drape.Photo`
         drape: str | None = None,
-        samples: int = 4,
+        samples: int = 4,  # samples per pixel, for smooth edges; 0 none
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
+        # leave out parts that may take long to read: the block under the terrain until `set_solid`,
+        # the orthophoto until the renderer's `set_drape`, and water until its `set_water`
         is_late: bool = False,
-        **options: Any,
+        **options: Any,  # of `Scene`
     ) -> None:
         mode_class(mode)  # raises for unknown ones, before anything is opened
         self._owns_context = context is None

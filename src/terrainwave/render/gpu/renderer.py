@@ -77,33 +77,19 @@ class _WaterTexture:
 
 
 class Renderer:
-    """Draws frames of a scene into the framebuffer in use.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
-    surface : Surface
-        Draws the scene's pieces; released with the renderer.
-    drape : Drape, optional
-        Picture to drape over the terrain.
-    solid : Solid, optional
-        The block under it.
-    water : Water, optional
-        Where it shows water; by default everywhere at and below 0.
-    """
+    """Draws frames of a scene into the framebuffer in use."""
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
     def __init__(
         self,
-        context: Any,
+        context: Any,  # OpenGL 3.3 core or newer
         scene: Scene,
-        surface: Surface,
-        drape: Drape | None = None,
-        solid: Solid | None = None,
-        water: Water | None = None,
+        surface: Surface,  # draws the scene's pieces; released with the renderer
+        drape: Drape | None = None,  # picture to drape over the terrain
+        solid: Solid | None = None,  # the block under it
+        water: Water | None = None,  # where it shows water; by default everywhere at and below 0
     ) -> None:
         self._context = context
         self._scene = scene

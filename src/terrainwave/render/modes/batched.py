@@ -70,13 +70,6 @@ class RegularBlock(NamedTuple):
 class Batched(BoundedMode):
     """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors.
 
-    Parameters
-    ----------
-    detail : float, optional
-        μ > 0, only for error "paper".
-    order : int
-        Of the filter: 2 or 4.
-
     Notes
     -----
     Nothing is decoded before a block is wanted.
@@ -89,8 +82,8 @@ class Batched(BoundedMode):
         self,
         needs: ModeNeeds,
         *,
-        detail: float | None = None,
-        order: int = 4,
+        detail: float | None = None,  # μ > 0, only for error "paper"
+        order: int = 4,  # of the filter: 2 or 4
         orientation: bool = False,
     ) -> None:
         super().__init__(needs, orientation=orientation)

@@ -99,42 +99,21 @@ class Continued(NamedTuple):
 
 @dataclass(frozen=True)
 class FrontPatch:
-    """Result of `build`: a mesh that follows the camera over samples of one level.
-
-    Parameters
-    ----------
-    region : Region
-        Of the level.
-    matrix : tuple of float
-        Positions of its samples in local metres, counted from its first.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        See `PatchSamples`.
-    mesh : object, optional
-        Over `Continued.heights`; None if there is nothing to draw.
-    lead : tuple of int
-        As of `Continued`.
-    error : float
-        Largest distance of originals from triangles between all samples, metres.
-    children : list of NodeInfo
-    side : int
-        Samples per side of the mode's largest patches.
-    room : int
-        Limit of a patch's memory besides its slopes, in bytes.
-    between : float
-        Largest additional distance of triangles from the bilinear surface between samples, over
-        `PatchFrame.error`, metres.
-    """
+    """Result of `build`: a mesh that follows the camera over samples of one level."""
 
     piece: Piece
-    region: Region
-    matrix: tuple[float, ...]
-    slopes: NDArray[np.float16]
-    mesh: Any  # a DynamicMesh or a RestrictedMesh
-    lead: tuple[int, int]
-    error: float
+    region: Region  # of the level
+    matrix: tuple[float, ...]  # positions of its samples in local metres, counted from its first
+    slopes: NDArray[np.float16]  # as of `PatchSamples`
+    # over `Continued.heights`: a DynamicMesh or a RestrictedMesh; None if there is nothing to draw
+    mesh: Any
+    lead: tuple[int, int]  # as of `Continued`
+    error: float  # largest distance of originals from triangles between all samples, metres
     children: list[NodeInfo]
-    side: int
-    room: int
+    side: int  # samples per side of the mode's largest patches
+    room: int  # limit of a patch's memory besides its slopes, in bytes
+    # largest additional distance of triangles from the bilinear surface between samples, over
+    # `PatchFrame.error`, metres
     between: float = 0.0
     n_triangles: int = 0
     base: float = 0.0

@@ -27,23 +27,17 @@ class _Running:
 
 
 class Pager(Workers):
-    """Builds values for keys in worker threads.
-
-    Parameters
-    ----------
-    build : callable
-        Called with a key and a function that returns whether the work is cancelled; may raise
-        `Cancelled`.
-    max_ready : int
-        Largest number of waiting results, at which workers pause: memory is bounded by
-        ``max_ready + n_workers`` of them.
-    """
+    """Builds values for keys in worker threads."""
 
     def __init__(
         self,
+        # called with a key and a function that returns whether the work is cancelled; may raise
+        # `Cancelled`
         build: Callable[[Any, Callable[[], bool]], Any],
         *,
         n_workers: int = 2,
+        # largest number of waiting results, at which workers pause: memory is bounded by
+        # ``max_ready + n_workers`` of them
         max_ready: int = 16,
     ) -> None:
         self._build = build

@@ -19,23 +19,15 @@ class Problems:
 
     A piece whose server cannot be reached is held back for a pause, each twice as long as the one
     before; an arrival ends the pause. All other pieces are damaged permanently.
-
-    Parameters
-    ----------
-    retries : bool
-        Try unavailable pieces again.
-    n_replies : callable, optional
-        Returns the number of replies of a server, whose silence is reported. None: no server.
-    clock : callable
-        Seconds.
     """
 
     def __init__(
         self,
         *,
-        retries: bool = False,
+        retries: bool = False,  # try unavailable pieces again
+        # returns the number of replies of a server, whose silence is reported. None: no server.
         n_replies: Callable[[], int] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,  # seconds
     ) -> None:
         self.damaged: dict[Hashable, str] = {}  # message for each piece
         self._retries, self._count, self._clock = retries, n_replies, clock

@@ -35,18 +35,13 @@ class Descent(Workers):
 
     The scene learns a piece's children when the piece has been built: initially each level would
     wait for the one above it to be fetched, decoded and built.
-
-    Parameters
-    ----------
-    mode : Mode
-        For its tree and its wanted pieces; its `wanted` uses a table of this thread's own.
-    prefetch, units : callable
-        As of `ReadAhead`.
     """
 
     def __init__(
         self,
+        # for its tree and its wanted pieces; its `wanted` uses a table of this thread's own
         mode: "Mode",
+        # `prefetch, units`: as of `ReadAhead`
         prefetch: Callable[[Sequence[Block]], object],
         units: Callable[[Piece], Sequence[Block]],
     ) -> None:
@@ -120,23 +115,14 @@ class _Wish(NamedTuple):
 
 
 class ReadAhead(Workers):
-    """Threads that fetch payloads of pieces, the most urgent first, and decode nothing.
-
-    Parameters
-    ----------
-    prefetch : callable
-        Fetches the data needed to decode some units, in few requests.
-    units : callable
-        Returns the units of a piece.
-    descent : Descent, optional
-        Closed with it.
-    """
+    """Threads that fetch payloads of pieces, the most urgent first, and decode nothing."""
 
     def __init__(
         self,
+        # fetches the data needed to decode some units, in few requests
         prefetch: Callable[[Sequence[Block]], object],
-        units: Callable[[Piece], Sequence[Block]],
-        descent: Descent | None = None,
+        units: Callable[[Piece], Sequence[Block]],  # returns the units of a piece
+        descent: Descent | None = None,  # closed with it
     ) -> None:
         self._prefetch, self._units, self._descent = prefetch, units, descent
         self._queue: list[Piece] = []

@@ -73,27 +73,19 @@ class Patch(NamedTuple):
 
 
 class PatchBuilder:
-    """Patches of a terrain's blocks. Thread-safe.
-
-    Parameters
-    ----------
-    frame : Frame
-        Local metres; its exaggeration is not used: the GPU applies it.
-    recursive : list of ndarray, optional
-        Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
-        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes, or
-        else bounds that are known once meshes are built (`mesh.blocks`).
-    is_loose : bool
-        Blocks above the finest level are drawn with meshes without a guarantee (`mesh.loose`),
-        whose errors are known once they are built.
-    """
+    """Patches of a terrain's blocks. Thread-safe."""
 
     def __init__(
         self,
         terrain: "TerrainFile",
-        frame: Frame,
+        frame: Frame,  # local metres; its exaggeration is not used: the GPU applies it
         *,
+        # Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
+        # Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes, or
+        # else bounds that are known once meshes are built (`mesh.blocks`).
         recursive: list[NDArray[np.float64]] | None = None,
+        # blocks above the finest level are drawn with meshes without a guarantee (`mesh.loose`),
+        # whose errors are known once they are built
         is_loose: bool = False,
     ) -> None:
         self._terrain = terrain

@@ -31,26 +31,16 @@ _NOTE_SECONDS = 6.0
 
 
 class Session:
-    """Clicks, measurements, captures and messages. Used by one thread, which never waits.
-
-    Parameters
-    ----------
-    say : callable
-        Called with lines for stdout.
-    radius : float, optional
-        Of the body in metres, for degrees.
-    folder : path
-        Directory for written files.
-    """
+    """Clicks, measurements, captures and messages. Used by one thread, which never waits."""
 
     def __init__(
         self,
         scene: Scene,
         controls: Controls,
-        say: Callable[[str], None],
+        say: Callable[[str], None],  # called with lines for stdout
         *,
-        radius: float | None = None,
-        folder: str = ".",
+        radius: float | None = None,  # of the body in metres, for degrees
+        folder: str = ".",  # directory for written files
     ) -> None:
         self._scene, self.controls, self._say, self._folder = scene, controls, say, folder
         # `background, slow`: work for clicks and keys, and separately for anything slower, so that

@@ -62,26 +62,13 @@ _FIRST_CAPACITY = 4096
 
 
 class DynamicFrame(NamedTuple):
-    """A mesh for one view.
+    """A mesh for one view; the last four fields are those of `Followed`."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n_vertices, 3)
-        Heights are multiplied by the view's factor.
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Counter-clockwise seen from above; a root's fan is consecutive.
-    nodes : ndarray of int32, shape (n_vertices, 3)
-        Height, row and column of each vertex's node.
-    edges : ndarray of int32, shape (n_edges, 2)
-        Vertices of the edges that end the mesh on open sides.
-    threshold, tau, n_touched, n_changed
-        See `Followed`.
-    """
-
-    vertices: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # shape (n_vertices, 3); heights times the view's factor
+    # shape (n_triangles, 3); counter-clockwise seen from above; a root's fan is consecutive
     triangles: NDArray[np.int32]
-    nodes: NDArray[np.int32]
-    edges: NDArray[np.int32]
+    nodes: NDArray[np.int32]  # shape (n_vertices, 3); height, row and column of each one's node
+    edges: NDArray[np.int32]  # shape (n_edges, 2); vertices of the edges along open sides
     threshold: float
     tau: float
     n_touched: int
@@ -90,25 +77,6 @@ class DynamicFrame(NamedTuple):
 
 class DynamicMesh:
     """A raster's mesh that follows a camera.
-
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-    mask : ndarray of bool, same shape, optional
-        True for valid samples; None: all that are finite.
-    sample_matrix : tuple of float
-        (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f.
-    patch : int
-        Samples per side of a patch: a power of two.
-    error : {"measured", "paper"}
-        See `haar`: a bound for every sample, with the worst direction and distance of the node's
-        box; or Haar coefficients with the direction to the node, as printed.
-    base_error : float
-        Largest distance of `heights` from the reference of errors; added to measured errors.
-    open_sides, is_surface
-        See `haar.build_tree`.
-    scratch : Scratch, optional
-        Memory that meshes drawn by one thread share.
 
     Raises
     ------
@@ -122,16 +90,22 @@ class DynamicMesh:
 
     def __init__(
         self,
-        heights: NDArray[np.floating],
+        heights: NDArray[np.floating],  # shape (n_rows, n_cols)
         *,
-        mask: NDArray[np.bool_] | None = None,
+        mask: NDArray[np.bool_] | None = None,  # True for valid samples; None: all that are finite
+        # (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        patch: int = 256,
+        patch: int = 256,  # samples per side of a patch: a power of two
+        # {"measured", "paper"}; see `haar`: a bound for every sample, with the worst direction and
+        # distance of the node's box; or Haar coefficients with the direction to the node, as
+        # printed
         error: str = "measured",
+        # largest distance of `heights` from the reference of errors; added to measured errors
         base_error: float = 0.0,
+        # `open_sides, is_surface`: see `haar.build_tree`
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
         is_surface: bool = False,
-        scratch: Scratch | None = None,
+        scratch: Scratch | None = None,  # memory that meshes drawn by one thread share
     ) -> None:
         self.tree: HaarTree = build_tree(
             heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface

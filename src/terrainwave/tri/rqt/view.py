@@ -80,25 +80,6 @@ class RestrictedFrame(NamedTuple):
 class RestrictedMesh:
     """A raster's restricted quadtree that follows a camera.
 
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-        NaN is void.
-    tile : int
-        Cells per side of a tile: a power of two.
-    sample_matrix
-        As for `DynamicMesh`.
-    error : {"measured", "paper", "coefficient"}
-        See the module's docstring.
-    coefficients : ndarray, shape of `heights`, optional
-        Magnitudes of coefficients, in the unit of heights, only for "coefficient".
-    base_error : float
-        Largest distance of the samples' surface from the reference of errors.
-    open_sides : tuple of bool
-        Whether the raster continues beyond its first row and column, its last row and column.
-    scratch : Scratch, optional
-        Memory that meshes drawn by one thread share.
-
     Raises
     ------
     InvalidHeightsError
@@ -107,15 +88,18 @@ class RestrictedMesh:
 
     def __init__(
         self,
-        heights: NDArray[np.floating],
+        heights: NDArray[np.floating],  # shape (n_rows, n_cols); NaN is void
         *,
-        tile: int = 256,
-        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        error: str = "measured",
+        tile: int = 256,  # cells per side of a tile: a power of two
+        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),  # as for `DynamicMesh`
+        error: str = "measured",  # {"measured", "paper", "coefficient"}; see the module's docstring
+        # largest distance of the samples' surface from the reference of errors
         base_error: float = 0.0,
+        # magnitudes of coefficients, in the unit of heights, only for "coefficient"
         coefficients: NDArray[np.floating] | None = None,
+        # whether the raster continues beyond its first row and column, its last row and column
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
-        scratch: Scratch | None = None,
+        scratch: Scratch | None = None,  # memory that meshes drawn by one thread share
     ) -> None:
         if tile < 2 or tile & (tile - 1):
             raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
