@@ -209,25 +209,17 @@ def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) 
 
 
 def mesh_for_file(
-    make: Callable[[float], Made],
+    make: Callable[[float], Made],  # returns the mesh for an error
+    # `path, options`: of `save_mesh`
     path: str | os.PathLike[str],
     max_error: float,
-    of_heights: float,
+    of_heights: float,  # the part of `max_error` that the file's heights take
     **options: Any,
 ) -> tuple[Made, bool]:
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
     Rounding in the file adds to a mesh's error, so the mesh is made again with a smaller one. On a
     globe the curvature gets a share of the error that the heights leave.
-
-    Parameters
-    ----------
-    make : callable
-        Returns the mesh for an error.
-    of_heights : float
-        The part of `max_error` that the file's heights take.
-    path, options
-        Of `save_mesh`.
 
     Raises
     ------
@@ -278,20 +270,12 @@ class _TooSmall(Exception):
 
 def _fitted(
     make: Callable[[float], Made],
-    rounding_of: Callable[[Made], float],
+    rounding_of: Callable[[Made], float],  # returns what the file adds to a mesh's error
     max_error: float,
     of_heights: float,
-    globe: Shape | None,
+    globe: Shape | None,  # None for a mesh that is not on a globe
 ) -> tuple[Made, bool]:
-    """Return the mesh of `mesh_for_file`; raise `_TooSmall` instead of a refusal.
-
-    Parameters
-    ----------
-    rounding_of : callable
-        Returns what the file adds to a mesh's error.
-    globe : Shape, optional
-        None for a mesh that is not on a globe.
-    """
+    """Return the mesh of `mesh_for_file`; raise `_TooSmall` instead of a refusal."""
     left = 0.0 if globe is None else max(max_error - of_heights, 0.0)
     share = CURVATURE_SHARE * left
     try:

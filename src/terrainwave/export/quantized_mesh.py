@@ -119,28 +119,17 @@ def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
 
 
 def tile_bytes(
+    # shape (n_vertices, 3); longitude, latitude in degrees and height in metres, in the order of
+    # their first use
     points: NDArray[np.float64],
+    # shape (n_vertices, 3); the same as in the tile: (u, v, h) in 0 … 32767
     quantized: NDArray[np.int16],
-    triangles: NDArray[np.int32],
-    heights: tuple[float, float],
+    triangles: NDArray[np.int32],  # shape (n_triangles, 3); counter-clockwise seen from above
+    heights: tuple[float, float],  # heights of h = 0 and h = 32767; exact in float32
     ellipsoid: Ellipsoid,
-    about: dict[str, Any],
+    about: dict[str, Any],  # for the metadata extension
 ) -> bytes:
-    """Return the bytes of a tile.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n_vertices, 3)
-        Longitude, latitude in degrees and height in metres, in the order of their first use.
-    quantized : ndarray of int16, shape (n_vertices, 3)
-        The same as in the tile: (u, v, h) in 0 … 32767.
-    triangles : ndarray of int64, shape (n_triangles, 3)
-        Counter-clockwise seen from above.
-    heights : tuple of float
-        Heights of h = 0 and h = 32767; exact in float32.
-    about : dict
-        For the metadata extension.
-    """
+    """Return the bytes of a tile."""
     encoder = need("quantized_mesh_encoder.encode", extra="mesh")
     from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
     from quantized_mesh_encoder.extensions import MetadataExtension

@@ -67,21 +67,13 @@ def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[
 
 def make_sections(
     grid: Grid,
-    mesher: BlockMesher,
+    mesher: BlockMesher,  # for samples, tolerances and the kind of meshes
     executor: Executor,
+    # called now and then with the number of full-grid samples that have a mesh
     on_samples: Callable[[int], None],
-    levels: Iterable[int] | None = None,
+    levels: Iterable[int] | None = None,  # levels of blocks to mesh; all by default
 ) -> dict[Block, bytes]:
     """Return the mesh sections of all keys that have one.
-
-    Parameters
-    ----------
-    mesher : BlockMesher
-        For samples, tolerances and the kind of meshes.
-    on_samples : callable
-        Called now and then with the number of full-grid samples that have a mesh.
-    levels : iterable of int, optional
-        Levels of blocks to mesh; all by default.
 
     Notes
     -----

@@ -77,27 +77,16 @@ class Texels:
 
     def of(
         self,
-        samples: tuple[NDArray[Any], NDArray[np.bool_]],
+        samples: tuple[NDArray[Any], NDArray[np.bool_]],  # quanta of a level, and validity
+        # row and column in them at which the texture begins; may be negative
         first: tuple[int, int],
+        # rows and columns for which the texture has values of its own; the nearest of these are
+        # repeated
         inner: tuple[int, int],
-        shape: tuple[int, int],
-        stride: int,
+        shape: tuple[int, int],  # of the texture
+        stride: int,  # samples of the full grid between two
     ) -> NDArray[np.float16]:
         """Return a texture of a part of samples.
-
-        Parameters
-        ----------
-        samples : tuple of ndarray, 2-D
-            Quanta of a level, and validity.
-        first : tuple of int
-            Row and column in them at which the texture begins; may be negative.
-        inner : tuple of int
-            Rows and columns for which the texture has values of its own; the nearest of these are
-            repeated.
-        shape : tuple of int
-            Of the texture.
-        stride : int
-            Samples of the full grid between two.
 
         Returns
         -------

@@ -54,7 +54,9 @@ _N_MODELS = _N_HEIGHTS * _N_ROUGH * 3
 
 
 def encode_refinement(
-    cut: Cut,
+    cut: Cut,  # shape (n_rows, n_cols); as `guarantee.guaranteed_cut` returns it, `keep` or not
+    # `heights, mask, tolerance, trees`: as there; they are known to the decoder and only steer
+    # contexts
     heights: NDArray[np.int32],
     mask: NDArray[np.bool_],
     tolerance: int,
@@ -63,13 +65,6 @@ def encode_refinement(
     """Return the refinement labels of a cut (§3 of the annex).
 
     `decode_refinement` with the same arguments undoes it.
-
-    Parameters
-    ----------
-    cut : ndarray of uint8, shape (n_rows, n_cols)
-        As `guarantee.guaranteed_cut` returns it, `keep` or not.
-    heights, mask, tolerance, trees
-        As there; they are known to the decoder and only steer contexts.
     """
     check_block(cut, mask)
     best = b""
