@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import AS_IS
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.mesh.mesh_data import CurvatureShare, MeshData
+from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import Place
 from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.place.vertical import (
@@ -153,11 +154,8 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     errors = way.slack * _worst_inside(per_edge)
     corners = found.on_globe[mesh.triangles]
     sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice_areas = np.linalg.norm(normals, axis=1)
-    up = corners.mean(axis=1) / (1.0, 1.0, 1 - way.place.globe_ellipsoid.e2)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    rise = np.abs((normals * up).sum(axis=1))
+    rise, twice_areas = rises(corners, way.place.globe_ellipsoid)
+    rise = np.abs(rise)
     # Walls of bodies and skirts, vertical up to rounding, are not part of the surface.
     is_ground = rise > 1e-6 * twice_areas
     if not is_ground.any():
@@ -172,6 +170,17 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     is_narrow = bend * spread > 0.5 * 4 * twice_areas[is_ground]
     slopes[is_narrow] = slopes.max()
     return float(errors.max() + 2 * (slopes * errors[is_ground]).max())
+
+
+def rises(corners: Numbers, ellipsoid: Ellipsoid) -> tuple[Numbers, Numbers]:
+    """Return twice the areas of geocentric triangles seen from above, and as they are.
+
+    The first are negative for triangles that face inwards.
+    """
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = corners.mean(axis=1) / (1.0, 1.0, 1 - ellipsoid.e2)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return (normals * up).sum(axis=1), np.linalg.norm(normals, axis=1)
 
 
 def divided(mesh: MeshData, way: GlobeWay) -> MeshData:

@@ -230,16 +230,12 @@ def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
     raster = terrain.raster_info
     if raster.crs is None:
         return None
-    try:
-        place = place_of(raster.crs, terrain.bounds)
-    except TerrainwaveError:  # pyproj is not installed
-        return None
     left, bottom, right, top = terrain.bounds
     try:
-        axes = place.local_axes((left + right) / 2, (bottom + top) / 2)
-    except TerrainwaveError:  # at a pole
+        place = place_of(raster.crs, terrain.bounds)
+        per_x, per_y = place.local_axes((left + right) / 2, (bottom + top) / 2).lengths
+    except TerrainwaveError:  # pyproj is not installed, or at a pole
         return None
-    per_x, per_y = axes.lengths
     a, b, _, d, e, _ = transform
     return [math.hypot(a * per_x, d * per_y), math.hypot(b * per_x, e * per_y)]
 

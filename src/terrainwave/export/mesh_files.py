@@ -21,7 +21,14 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export import MESH_ENDINGS, MESH_FORMATS, TILE, Shape
-from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
+from terrainwave.export.curvature import (
+    GlobeWay,
+    divided,
+    least_share,
+    mesh_unit,
+    rises,
+    share_of_edge,
+)
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_formats import EXTRA, SavedMesh, obj_digits, turned_y_up
@@ -478,12 +485,7 @@ def _rounding(
 
 def _steepest_on(mesh: MeshData, ellipsoid: Any) -> float:
     """Return the largest slope of the triangles of a geocentric mesh that face outwards."""
-    corners = mesh.points[mesh.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    up = corners.mean(axis=1) / (1.0, 1.0, 1 - ellipsoid.e2)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    rise = (normals * up).sum(axis=1)
-    lengths = np.linalg.norm(normals, axis=1)
+    rise, lengths = rises(mesh.points[mesh.triangles], ellipsoid)
     # Walls are vertical up to rounding.
     faces_up = rise > 1e-6 * lengths
     if not faces_up.any():

@@ -1,6 +1,6 @@
 """Patches on the GPU: one vertex buffer, one index buffer, one array texture of slopes."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,6 @@ COMMAND = np.dtype(
         ("base_instance", "<u4"),
     ]
 )
-
-
-class Slot(NamedTuple):
-    """Position of a patch in the buffers."""
-
-    first_vertex: int
-    n_vertices: int
-    first_index: int
-    n_indices: int
-    layer: int
 
 
 class _Buffer(Arena):
@@ -71,9 +61,8 @@ class GpuStore:
         self._mesh_bytes = max_bytes - self.layers.max_bytes
         self._vertices = _Buffer(context, _FIRST_VERTICES, VERTEX.itemsize)
         self._indices = _Buffer(context, _FIRST_INDICES, _INDEX_BYTES)
-        self.slots: dict[int, Slot] = {}
-        # First index, number of indices and layer by node, for whole frames at once.
-        self._places = np.zeros((256, 3), dtype=np.int64)
+        # First vertex, vertices, first index, indices and layer by node, for whole frames at once.
+        self._places = np.zeros((256, 5), dtype=np.int64)
         self.generation = 0  # counts replaced buffers: vertex arrays on old ones are stale
 
     @property
@@ -91,7 +80,7 @@ class GpuStore:
     def put(self, node: int, patch: Patch) -> bool:
         n_indices = patch.triangles.size
         if n_indices == 0:
-            self._place(node, Slot(0, 0, 0, 0, -1))
+            self._place(node, (0, 0, 0, 0, -1))
             return True
         layer = self.layers.take()
         if layer is None:
@@ -109,22 +98,21 @@ class GpuStore:
         indices = patch.triangles + np.uint32(first_vertex)
         self.index_buffer.write(indices, offset=first_index * _INDEX_BYTES)
         self.layers.write(layer, [patch.slopes])
-        self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
+        self._place(node, (first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
 
-    def _place(self, node: int, slot: Slot) -> None:
-        self.slots[node] = slot
+    def _place(self, node: int, place: tuple[int, int, int, int, int]) -> None:
         if node >= len(self._places):
-            self._places = np.resize(self._places, (2 * node + 2, 3))
-        self._places[node] = slot.first_index, slot.n_indices, slot.layer
+            self._places = np.resize(self._places, (2 * node + 2, 5))
+        self._places[node] = place
 
     def drop(self, node: int) -> None:
-        slot = self.slots.pop(node)
-        if slot.layer < 0:
+        first_vertex, n_vertices, first_index, n_indices, layer = self._places[node].tolist()
+        if layer < 0:
             return
-        self._vertices.give_back(slot.first_vertex, slot.n_vertices)
-        self._indices.give_back(slot.first_index, slot.n_indices)
-        self.layers.give_back(slot.layer)
+        self._vertices.give_back(first_vertex, n_vertices)
+        self._indices.give_back(first_index, n_indices)
+        self.layers.give_back(layer)
 
     def _take(self, part: _Buffer, other: _Buffer, size: int) -> int | None:
         while (start := part.take(size)) is None:
@@ -139,14 +127,14 @@ class GpuStore:
     def commands(self, nodes: NDArray[np.int32]) -> NDArray[np.void]:
         """Return the draw commands of nodes; command k draws instance k."""
         commands = np.zeros(len(nodes), dtype=COMMAND)
-        commands["first_index"], commands["count"] = self._places[nodes, 0], self._places[nodes, 1]
+        commands["first_index"], commands["count"] = self._places[nodes, 2], self._places[nodes, 3]
         commands["n_instances"] = 1
         commands["base_instance"] = np.arange(len(nodes))
         return commands
 
     def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 if it has no triangles."""
-        layers: NDArray[np.int64] = self._places[nodes, 2]
+        layers: NDArray[np.int64] = self._places[nodes, 4]
         return layers
 
     def release(self) -> None:

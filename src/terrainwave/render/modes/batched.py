@@ -33,7 +33,7 @@ from terrainwave.render.modes.neville import filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.horizon import Floors
-from terrainwave.render.scene.patches import Cancelled, PatchBuilder
+from terrainwave.render.scene.patches import PatchBuilder, go_on
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 
@@ -117,10 +117,7 @@ class Batched(BoundedMode):
 
     def _info(self, block: Block) -> NodeInfo:
         region = self.terrain.grid.full_region(block)
-        rows = np.array([region.row, region.row + region.n_rows - 1])
-        cols = np.array([region.col, region.col + region.n_cols - 1])
-        xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        (left, bottom), (right, top) = self.frame.sides_of(region)
         low, high = self._limits(block)
         error = self._bound(block, self.terrain.block_error(block) * self.frame.error_metres)
         spacing = self.frame.spacing * self.terrain.grid.stride(block.level)
@@ -150,22 +147,18 @@ class Batched(BoundedMode):
     # In workers
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
-        def check() -> None:
-            if is_cancelled():
-                raise Cancelled
-
         block = piece.block
         children = self.children(piece)
         self._prefetch(block)
-        check()
+        go_on(is_cancelled)
         heights, error = self.grid(block)
-        check()
+        go_on(is_cancelled)
         before = heights
         if block.level:
             parent, before = self.grid(block.parent).heights, np.empty_like(heights)
             first_row, first_col = (block.row & 1) * self._side, (block.col & 1) * self._side
             fill_parent_heights(heights, parent, first_row, first_col, before)
-        check()
+        go_on(is_cancelled)
         slopes = self._patches.slopes(block)
         has_any = not np.isnan(heights).all()
         missing = [(0, self._side + 1 - n) for n in heights.shape]

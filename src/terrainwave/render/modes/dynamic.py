@@ -9,11 +9,12 @@ makes the measured errors of the inner one those of the whole raster.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
+from terrainwave.render.modes.front import MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh, ForestPart, draw_together
@@ -49,23 +50,9 @@ class Dynamic(FrontMode):
         """Set the extent of patches for a size of trees."""
         self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> DynamicMesh:
-        return DynamicMesh(
-            heights,
-            sample_matrix=matrix,
-            patch=self.tree,
-            error=self.error,
-            base_error=base_error,
-            open_sides=ALL_OPEN,
-            is_surface=piece.level < self.n_levels - 1,
-            scratch=self.scratch,
-        )
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> DynamicMesh:
+        is_surface = piece.level < self.n_levels - 1
+        return DynamicMesh(heights, patch=self.tree, is_surface=is_surface, **given)
 
     def between(self, level: int, heights: NDArray[np.float64]) -> float:
         """Return the largest change of heights to the next sample, down and across.

@@ -27,7 +27,7 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
 from terrainwave.render.modes.mode import NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
-from terrainwave.render.scene.patches import Cancelled
+from terrainwave.render.scene.patches import go_on
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.followed import Eye, Followed, Pressure
@@ -46,7 +46,7 @@ _MOST_RELAXED = 8.0
 _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 
 # Neighbours, or samples beyond the outline, continue beyond all sides of a mesh.
-ALL_OPEN = (True, True, True, True)
+_ALL_OPEN = (True, True, True, True)
 
 
 class Drawn(NamedTuple):
@@ -261,10 +261,7 @@ class FrontMode(Mode):
         error = self._level_error(piece.level, blocks)
         boxes = [height for block in blocks for height in terrain.block_box(block)]
         z = [self.frame.to_metres(height) for height in boxes]
-        rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
-        cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
-        xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        (left, bottom), (right, top) = self.frame.sides_of(region, stride)
         low, high = (left, bottom, min(z) - error), (right, top, max(z) + error)
         return NodeInfo(piece, low, high, error, self.frame.spacing * stride)
 
@@ -284,8 +281,7 @@ class FrontMode(Mode):
         info = self._info(piece)
         children = self.children(piece)
         samples = self.read(piece.level, region)
-        if is_cancelled():
-            raise Cancelled
+        go_on(is_cancelled)
         a, b, c, d, e, f = self.frame.sample_matrix
         stride = self.terrain.grid.stride(piece.level)
         row, col = region.row * stride, region.col * stride
@@ -296,7 +292,10 @@ class FrontMode(Mode):
         if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals also lie between samples
                 error += twist_of(heights)
-            mesh = self.make_mesh(piece, heights, _moved(matrix, lead), error)
+            mesh = self.make_mesh(
+                piece, heights, sample_matrix=_moved(matrix, lead), error=self.error,
+                base_error=error, open_sides=_ALL_OPEN, scratch=self.scratch,
+            )  # fmt: skip
         return FrontPatch(
             piece, region, matrix, samples.slopes, mesh, lead, error, children, self.side,
             self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
@@ -314,14 +313,8 @@ class FrontMode(Mode):
         return 0.0
 
     @abstractmethod
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> Any:
-        """Return the mesh of a patch: neighbours continue beyond all its sides. Thread-safe."""
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> Any:
+        """Return the mesh of a patch, `given` most of its arguments. Thread-safe."""
 
     def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""

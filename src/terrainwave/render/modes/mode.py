@@ -86,11 +86,6 @@ class Mode(ABC):
         """Return what is decoded before the first picture, and why; None if that is little."""
         return None
 
-    def close(self) -> None:  # noqa: B027  most modes have nothing to close
-        """Release resources; no `build` runs any more."""
-
-    # The tree, from the index
-
     @abstractmethod
     def roots(self) -> list[NodeInfo]:
         """Return the pieces without a parent."""

@@ -4,11 +4,13 @@ Their tiles are patches here: workers read and decode them when they come into v
 that is not good enough; the parent is drawn until they are loaded.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.read.tile_decoder import Tiles, with_coefficients
-from terrainwave.render.modes.front import ALL_OPEN, Drawn, FrontMode, FrontPatch, PatchFrame
+from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.followed import Eye, Followed
@@ -29,23 +31,10 @@ class RqtMode(FrontMode):
         if self.error == "coefficient":
             self._tiles = with_coefficients(self.terrain.decoder)
 
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> RestrictedMesh:
-        return RestrictedMesh(
-            heights,
-            tile=max(1 << (max(heights.shape) - 2).bit_length(), 2),
-            sample_matrix=matrix,
-            error=self.error,
-            base_error=base_error,
-            coefficients=self._coefficients(piece, heights.shape),
-            open_sides=ALL_OPEN,
-            scratch=self.scratch,
-        )
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> RestrictedMesh:
+        tile = max(1 << (max(heights.shape) - 2).bit_length(), 2)
+        coefficients = self._coefficients(piece, heights.shape)
+        return RestrictedMesh(heights, tile=tile, coefficients=coefficients, **given)
 
     def _coefficients(self, piece: Piece, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
         """Return the magnitudes of the file's coefficients in metres, 0 beyond the outline.

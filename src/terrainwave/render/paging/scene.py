@@ -157,7 +157,6 @@ class Scene:
         self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
         if self._ahead_reader is not None:
             self._ahead_reader.close()
-        self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
         """Change the vertical exaggeration; patches do not change."""

@@ -15,6 +15,7 @@ from terrainwave.grid.affine import (
     places_to_pixels,
     samples_to_places,
 )
+from terrainwave.grid.quadtree import Region
 from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of
 from terrainwave.place.units import height_unit
@@ -58,14 +59,18 @@ class Frame:
     @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and highest corner of the terrain in local metres, read-only."""
-        n_rows, n_cols = self.shape
-        rows = np.array([0, 0, n_rows - 1, n_rows - 1])
-        cols = np.array([0, n_cols - 1, 0, n_cols - 1])
-        xy = self.samples_to_local(rows, cols)
+        first, last = self.sides_of(Region(0, 0, *self.shape))
         z = np.array(self.height_range) * self.exaggeration
-        low, high = np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+        low, high = np.array([*first, z.min()]), np.array([*last, z.max()])
         low.flags.writeable = high.flags.writeable = False
         return low, high
+
+    def sides_of(self, region: Region, stride: int = 1) -> tuple[list[float], list[float]]:
+        """Return the lowest and highest local x, y of a region of every `stride`-th sample."""
+        rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
+        cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
+        xy = self.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        return xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
 
     def to_metres(self, heights: Numbers) -> Numbers:
         """Return metres upwards, without exaggeration, of numbers in the file's unit."""

@@ -45,6 +45,12 @@ class Cancelled(Exception):
     """A patch that is no longer wanted."""
 
 
+def go_on(is_cancelled: Callable[[], bool]) -> None:
+    """Raise `Cancelled` if work is no longer wanted."""
+    if is_cancelled():
+        raise Cancelled
+
+
 class Patch(NamedTuple):
     """A piece to draw."""
 
@@ -146,19 +152,12 @@ class PatchBuilder:
     def info(self, piece: Piece) -> NodeInfo:
         block = piece.block
         region = self._terrain.grid.full_region(block)
-        rows = np.array([region.row, region.row + region.n_rows - 1])
-        cols = np.array([region.col, region.col + region.n_cols - 1])
-        xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         error = self.error(piece)
         low, high = sorted(map(self._frame.to_metres, self._terrain.block_box(block)))
-        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-        return NodeInfo(
-            piece,
-            (float(left), float(bottom), low - error),
-            (float(right), float(top), high + error),
-            error,
-            self._frame.spacing * self._terrain.grid.stride(block.level),
-        )
+        (left, bottom), (right, top) = self._frame.sides_of(region)
+        spacing = self._frame.spacing * self._terrain.grid.stride(block.level)
+        ends = (left, bottom, low - error), (right, top, high + error)
+        return NodeInfo(piece, *ends, error, spacing)
 
     def error(self, piece: Piece) -> float:
         if piece.variant:
@@ -220,20 +219,15 @@ class PatchBuilder:
         CorruptStreamError
             If the file is damaged there.
         """
-
-        def check() -> None:
-            if is_cancelled():
-                raise Cancelled
-
         block = piece.block
         children = self.children(piece)
-        check()
+        go_on(is_cancelled)
         mesh = self.mesh(piece)
-        check()
+        go_on(is_cancelled)
         z = self._scale.metres(mesh.heights / (1 << FRACTION_BITS))
         base = float(z.min() + z.max()) / 2 if len(z) else 0.0
         z_parent = self._parent_heights(piece, mesh, z)
-        check()
+        go_on(is_cancelled)
         vertices = np.empty(len(z), dtype=VERTEX)
         vertices["col"], vertices["row"] = mesh.cols, mesh.rows
         vertices["z"], vertices["z_parent"] = z - base, z_parent - base
