@@ -10,10 +10,9 @@ depend only on these, so both tiles have the same vertices there.
 import json
 import logging
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from terrainwave.arguments import AS_IS, checked_threads
@@ -23,7 +22,7 @@ from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_heights import TileHeights
 from terrainwave.globe.tile_mesh import TileMesh, TileMesher
-from terrainwave.globe.tile_scheme import CELLS, TileScheme
+from terrainwave.globe.tile_scheme import CELLS, TileScheme, in_order
 from terrainwave.place.vertical import note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
 
@@ -210,44 +209,31 @@ def write_tiles(
         storage_errors(f"cannot write {os.fspath(directory)}"),
     ):
         for zoom in zooms:
-            n_tiles, n_triangles, n_bytes = 0, 0, 0
-            surface_errors, errors = [], []
-            for x, y, tile in _tiles_of(pyramid, zoom, executor, _AHEAD * n_threads):
+            places = (place for area in pyramid.available(zoom) for place in area.tiles())
+            make = partial(_tile_at, pyramid, zoom)
+            written, errors = [], []
+            for (x, y), tile in in_order(executor, make, places, _AHEAD * n_threads):
+                if tile is None:
+                    continue
                 place = new / str(zoom) / str(x) / f"{y}.terrain"
                 place.parent.mkdir(parents=True, exist_ok=True)
                 place.write_bytes(tile.data)
-                n_tiles += 1
-                n_triangles += tile.n_triangles
-                n_bytes += len(tile.data)
+                written.append((tile.n_triangles, len(tile.data)))
                 if tile.surface_error is not None and tile.error is not None:
-                    surface_errors.append(tile.surface_error)
-                    errors.append(tile.error)
+                    errors.append((tile.surface_error, tile.error))
                 n_done += 1
                 reporter.report("writing tiles", n_done, total)
-            _log.info("zoom %d: %d tiles, %d bytes", zoom, n_tiles, n_bytes)
+            n_triangles, n_bytes = (sum(column) for column in zip((0, 0), *written, strict=True))
+            largest = map(max, zip(*errors, strict=True)) if errors else (None, None)
+            _log.info("zoom %d: %d tiles, %d bytes", zoom, len(written), n_bytes)
+            geometric_error = pyramid.geometric_error(zoom)
             summaries.append(
-                ZoomSummary(
-                    zoom,
-                    n_tiles,
-                    n_triangles,
-                    n_bytes,
-                    pyramid.geometric_error(zoom),
-                    max(surface_errors, default=None),
-                    max(errors, default=None),
-                )
+                ZoomSummary(zoom, len(written), n_triangles, n_bytes, geometric_error, *largest)
             )
         layer = pyramid.layer(attribution=attribution)
         (new / LAYER).write_text(json.dumps(layer, indent=1) + "\n", encoding="utf-8")
     return summaries
 
 
-def _tiles_of(
-    pyramid: TilePyramid, zoom: int, executor: ThreadPoolExecutor, n_ahead: int
-) -> Iterator[tuple[int, int, TileMesh]]:
-    """Yield x, y and the tile, for all of a zoom in order; only a few wait at a time."""
-    places = (place for area in pyramid.available(zoom) for place in area.tiles())
-    while batch := list(islice(places, n_ahead)):
-        tiles = executor.map(lambda place: pyramid.tile(zoom, *place), batch)
-        for (x, y), tile in zip(batch, tiles, strict=True):
-            if tile is not None:
-                yield x, y, tile
+def _tile_at(pyramid: TilePyramid, zoom: int, place: tuple[int, int]) -> TileMesh | None:
+    return pyramid.tile(zoom, *place)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_choice
+from terrainwave.arguments import check_choice, check_flags
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
@@ -89,6 +89,25 @@ def encoding_of(name: str) -> Encoding:
     """
     check_choice("encoding", name, ENCODINGS)
     return ENCODINGS[name]
+
+
+def look_of(*, encoding: str = MAPBOX, transparent_voids: bool = False) -> Look:
+    """Return a look of tiles.
+
+    Parameters
+    ----------
+    encoding : {"mapbox", "terrarium"}
+        Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
+    transparent_voids : bool
+        Give pixels of voids alpha 0.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If an option has none of its values.
+    """
+    check_flags(transparent_voids=transparent_voids)
+    return Look(encoding_of(encoding).name, transparent_voids)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,12 @@
 """Tiles of a globe: which exist, where they lie, and Cesium's assumptions about their errors."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,3 +173,12 @@ def _tile_at(place: float, n_tiles: int, *, ends: bool = False) -> int:
     """Return the tile at a position counted in tiles; on a border one of the two."""
     number = math.ceil(place - 1e-9) - 1 if ends else math.floor(place + 1e-9)
     return min(max(number, 0), n_tiles - 1)
+
+
+def in_order(
+    executor: ThreadPoolExecutor, work: Callable[[Any], Any], items: Iterable[Any], n_ahead: int
+) -> Iterator[tuple[Any, Any]]:
+    """Yield items and the results of `work`, in order; at most `n_ahead` of them wait at a time."""
+    left = iter(items)
+    while batch := list(islice(left, n_ahead)):
+        yield from zip(batch, executor.map(work, batch), strict=True)

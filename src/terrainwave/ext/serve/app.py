@@ -27,7 +27,6 @@ from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.extras import with_extra
 from terrainwave.globe import terrain_rgb as tiling
-from terrainwave.globe.terrain_rgb import Look
 from terrainwave.place.vertical import note_as_is
 from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
@@ -96,7 +95,7 @@ def make_app(
     public = None if public_url is None else address_of(public_url)
     networks = [network_of(address) for address in proxy]
     allowed = [*LOCAL_HOSTS, *hosts, *([] if public is None else [public.host])]
-    look = Look(tiling.encoding_of(encoding).name, transparent_voids)
+    look = tiling.look_of(encoding=encoding, transparent_voids=transparent_voids)
     desk, reading = Desk(n_decoding), Desk(_N_READING)
     layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
