@@ -31,7 +31,6 @@ NOT_SEEN = {
     ("ext.serve.sending", "begun", "TerrainwaveError"),
     ("render.modes.mode", "Mode.build", "CorruptStreamError"),
     ("tri.mesh_options", "MeshOptions.stored", "InvalidArgumentError"),
-    ("tri.stored_kinds", "StoredRqt.mesh", "CorruptStreamError"),
     ("write.compress", "compress", "ClusterError"),
 }
 # Nearer is what only other arguments of the function that is called could bring about.

@@ -11,7 +11,7 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
-from terrainwave.grid.voids import fill_voids
+from terrainwave.read.resample import fill_voids
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 

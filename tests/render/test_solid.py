@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
-from terrainwave.grid.voids import fill_voids
+from terrainwave.read.resample import fill_voids
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.scene.camera import Camera, home, top_view

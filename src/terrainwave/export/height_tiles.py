@@ -29,11 +29,10 @@ from terrainwave.errors import (
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, Transform, bounds, pixel_size
 from terrainwave.grid.quadtree import Region
-from terrainwave.grid.voids import fill_voids
 from terrainwave.place.position import place_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
-from terrainwave.read.resample import bilinear_sums, weighted_means
+from terrainwave.read.resample import bilinear_sums, fill_voids, weighted_means
 
 _MAX_SAMPLES = MAX_TILE_SIZE**2
 _HIGHEST = 65535

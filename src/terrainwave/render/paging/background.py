@@ -6,7 +6,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.render.paging.workers import Workers
+from terrainwave.render.paging.threads import Threads
 
 
 class Outcome(NamedTuple):
@@ -19,7 +19,7 @@ class Outcome(NamedTuple):
 _Then = Callable[[Outcome], None]
 
 
-class Background(Workers):
+class Background(Threads):
     """Runs functions in threads; `poll` takes their results. Used by one thread."""
 
     def __init__(self, n_threads: int = 2) -> None:

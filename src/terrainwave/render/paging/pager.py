@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from terrainwave import interrupts
-from terrainwave.render.paging.workers import Workers
+from terrainwave.render.paging.threads import Threads
 from terrainwave.render.scene.patches import Cancelled
 
 _KEPT_TIMES = 4096
@@ -26,7 +26,7 @@ class _Running:
     is_wanted: bool = True
 
 
-class Pager(Workers):
+class Pager(Threads):
     """Builds values for keys in worker threads."""
 
     def __init__(

@@ -10,7 +10,7 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
 from terrainwave.render.paging.problems import replies_of
-from terrainwave.render.paging.workers import Workers
+from terrainwave.render.paging.threads import Threads
 from terrainwave.render.scene.selection import NodeTable, Piece, View
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ PATIENCE = 1.0  # seconds
 _RING = 2
 
 
-class Descent(Workers):
+class Descent(Threads):
     """Thread that finds the data of a view, only by the index, and fetches them.
 
     The scene learns a piece's children when the piece has been built: initially each level would
@@ -114,7 +114,7 @@ class _Wish(NamedTuple):
     is_here: Callable[[Piece], bool]
 
 
-class ReadAhead(Workers):
+class ReadAhead(Threads):
     """Threads that fetch payloads of pieces, the most urgent first, and decode nothing."""
 
     def __init__(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.grid.voids import fill_voids
+from terrainwave.read.resample import fill_voids
 from terrainwave.render.scene.frame import Frame
 
 if TYPE_CHECKING:

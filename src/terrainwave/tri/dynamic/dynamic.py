@@ -50,7 +50,7 @@ from terrainwave.tri.dynamic.haar import (
     HaarTree,
     build_tree,
 )
-from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
+from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
 from terrainwave.tri.scratch import Scratch
 
 # Fields of a view as an array: position and direction of the eye; focal length; largest distance by
@@ -75,7 +75,7 @@ class DynamicFrame(NamedTuple):
     n_changed: int
 
 
-class DynamicMesh:
+class DynamicMesh(FollowingMesh[DynamicFrame]):
     """A raster's mesh that follows a camera.
 
     Raises
@@ -88,12 +88,13 @@ class DynamicMesh:
     `update` costs O(nodes on screen). Used by one thread.
     """
 
+    _least_for = "patch"
+
     def __init__(
         self,
         heights: NDArray[np.floating],  # shape (n_rows, n_cols)
         *,
         mask: NDArray[np.bool_] | None = None,  # True for valid samples; None: all that are finite
-        # (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         patch: int = 256,  # samples per side of a patch: a power of two
         # {"measured", "paper"}; see `haar`: a bound for every sample, with the worst direction and
@@ -105,8 +106,9 @@ class DynamicMesh:
         # `open_sides, is_surface`: see `haar.build_tree`
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
         is_surface: bool = False,
-        scratch: Scratch | None = None,  # memory that meshes drawn by one thread share
+        scratch: Scratch | None = None,
     ) -> None:
+        super().__init__(sample_matrix, scratch)
         self.tree: HaarTree = build_tree(
             heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
         )
@@ -116,9 +118,6 @@ class DynamicMesh:
         self.marks[layout[-1, FIRST] :] = ROOT
         self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
-        self.matrix = tuple(float(value) for value in sample_matrix)  # `sample_matrix`
-        self._is_mirrored = self.matrix[0] * self.matrix[4] < self.matrix[1] * self.matrix[3]
-        self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
         # shape (patch rows, patch columns); patches with changed marks; cleared by the user of a
@@ -126,9 +125,7 @@ class DynamicMesh:
         self.has_changed: NDArray[np.uint8] = np.ones(
             tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
         )
-        self._n_vertices = 0
         self._is_marked = False
-        self._pressure = Pressure()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -142,55 +139,9 @@ class DynamicMesh:
 
     @property
     def least_vertices(self) -> int:
-        """Return the smallest number of vertices in a view: one per patch."""
         return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
 
     # One frame
-
-    def follow(
-        self,
-        eye: Eye,
-        tau: float,
-        *,
-        morph: float = 1.0,
-        max_vertices: int | None = None,
-        is_stepwise: bool = False,
-    ) -> Followed:
-        """Update the marks for a view, which suffices if the GPU moves vertices itself.
-
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to their parents' positions while those have errors of τ / λ … τ.
-            1: they jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
-            are divided in any case.
-        is_stepwise : bool
-            Change by one height at most, as in the paper, except for the first view and if the
-            budget requires more; the mesh may lag behind the view.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
-        """
-        check_update(tau, morph)
-        check_budget(max_vertices, self.least_vertices, "patch")
-        view = self._view(eye)
-        self._pressure.relieve()
-        n_touched, n_changed, largest = self._mark(view, eye.planes, tau / morph, is_stepwise)
-        while (
-            max_vertices is not None and self._n_vertices > max_vertices and self._pressure.rise()
-        ):
-            *more, largest = self._mark(view, eye.planes, tau / morph, False)
-            n_touched, n_changed = n_touched + more[0], n_changed + more[1]
-        used = tau * self._pressure.factor
-        return Followed(
-            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
-        )
 
     def largest_error(self, eye: Eye, followed: Followed) -> float:
         """Return the largest vertical distance of the drawn mesh in view from `heights`.
@@ -206,42 +157,20 @@ class DynamicMesh:
         return error
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
-        """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
         (frame,) = draw_together([ForestPart(self, followed)], eye)
         return frame
 
-    def update(
-        self,
-        eye: Eye,
-        tau: float,
-        *,
-        morph: float = 1.0,
-        max_vertices: int | None = None,
-        is_stepwise: bool = False,
-    ) -> DynamicFrame:
-        """Return the mesh for a view: `follow`, whose arguments these are, and `draw`."""
-        return self.draw(
-            eye,
-            self.follow(eye, tau, morph=morph, max_vertices=max_vertices, is_stepwise=is_stepwise),
-        )
-
-    def _mark(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
-    ) -> tuple[int, int, float]:
-        """Update the marks; return the numbers of touched and changed nodes.
-
-        And the largest error on screen of roots that need further division, 0 without any.
-        """
-        tree, tau = self.tree, tau * self._pressure.factor
+    def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:  # noqa: ARG002
+        tree, view, planes = self.tree, self._view(eye), eye.planes
         if not self._is_marked:
             self._is_marked = True
-            mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
+            mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, threshold, self.marks)
             self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
             self.has_changed[...] = True
             return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
         walk = step_top_down if is_stepwise else settle_top_down
         n_touched, n_changed, n_more, largest = walk(
-            tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks,
+            tree.layout, tree.z, tree.bounds, view, planes, threshold, self._stack, self.marks,
             self.has_changed,
         )  # fmt: skip
         self._n_vertices += n_more
@@ -335,7 +264,7 @@ def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
         # Neighbours along all sides may be samples.
         capacity = 2 * (len(own_nodes) + 2 * int(layout[0, N_ROWS:].sum()) + 8)
         room = mesh._scratch.take("triangles", (capacity, 3), np.int32)
-        n = draw_fans(forest, own_nodes, mesh._is_mirrored, mesh._stack, room)
+        n = draw_fans(forest, own_nodes, mesh.is_mirrored, mesh._stack, room)
         edges = mesh._scratch.take("edges", (4 * n, 2), np.int32)
         n, n_ends, n_gone = leave_rings(room[:n], is_ring, edges)
         triangles.append(room[:n].copy())

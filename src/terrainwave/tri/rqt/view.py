@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
+from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
 from terrainwave.tri.rqt.morph import number_vertices, place_vertices
 from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.rqt.vertex_errors import (
@@ -77,7 +77,7 @@ class RestrictedFrame(NamedTuple):
     tau: float  # pixels; above the requested one if the budget requires it
 
 
-class RestrictedMesh:
+class RestrictedMesh(FollowingMesh[RestrictedFrame]):
     """A raster's restricted quadtree that follows a camera.
 
     Raises
@@ -86,12 +86,14 @@ class RestrictedMesh:
         If an argument is invalid.
     """
 
+    _least_for = "corner of a tile"
+
     def __init__(
         self,
         heights: NDArray[np.floating],  # shape (n_rows, n_cols); NaN is void
         *,
         tile: int = 256,  # cells per side of a tile: a power of two
-        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),  # as for `DynamicMesh`
+        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         error: str = "measured",  # {"measured", "paper", "coefficient"}; see the module's docstring
         # largest distance of the samples' surface from the reference of errors
         base_error: float = 0.0,
@@ -99,8 +101,9 @@ class RestrictedMesh:
         coefficients: NDArray[np.floating] | None = None,
         # whether the raster continues beyond its first row and column, its last row and column
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
-        scratch: Scratch | None = None,  # memory that meshes drawn by one thread share
+        scratch: Scratch | None = None,
     ) -> None:
+        super().__init__(sample_matrix, scratch)
         if tile < 2 or tile & (tile - 1):
             raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
         if np.ndim(heights) != 2 or not np.size(heights):
@@ -129,15 +132,14 @@ class RestrictedMesh:
         padded = n_rows * tile + 1, n_cols * tile + 1
         self._heights = _padded(heights, padded, np.nan)
         self._errors = self._measure(base_error, coefficients)
-        self._matrix = tuple(float(value) for value in sample_matrix)
         self._n_children = np.zeros(padded, dtype=np.uint8)
         self._is_active = np.zeros(padded, dtype=np.bool_)
-        self._scratch = scratch or Scratch()
-        self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
-        self._on_screen = np.empty(0)
-        self._reset()
+        corners = np.indices((n_rows + 1, n_cols + 1)).reshape(2, -1).T * tile
+        self._is_active[corners[:, 0], corners[:, 1]] = True
+        self._active, self._n_vertices = corners.astype(np.int32), len(corners)
+        self._on_screen = np.full(len(corners), np.nan)
+        self._reserve()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
-        self._pressure = Pressure()
 
     def _measure(
         self, base_error: float, coefficients: NDArray[np.floating] | None
@@ -156,90 +158,30 @@ class RestrictedMesh:
         widen_everywhere(errors, self.tile)
         return errors
 
-    def _reset(self) -> None:
-        """Merge all vertices except the corners of tiles."""
-        rows, cols = self._active[: self._n_active].T
-        self._is_active[rows, cols] = False
-        self._n_children[rows, cols] = 0
-        corners = np.indices((self.n_tiles[0] + 1, self.n_tiles[1] + 1)).reshape(2, -1).T
-        corners = corners * self.tile
-        self._is_active[corners[:, 0], corners[:, 1]] = True
-        self._active, self._n_active = corners.astype(np.int32), len(corners)
-        self._on_screen = np.full(len(corners), np.nan)
-        self._reserve()
-
     def _reserve(self) -> None:
         """Allocate arrays for twice the active vertices, reused by updates."""
-        capacity = 2 * (self._n_active + _ROOM)
-        active = np.empty((capacity, 2), dtype=np.int32)
-        active[: self._n_active] = self._active[: self._n_active]
-        self._active = active
-        on_screen = np.empty(capacity)
-        on_screen[: self._n_active] = self._on_screen[: self._n_active]
-        self._on_screen = on_screen
+        n = self._n_vertices
+        active, on_screen = self._active[:n], self._on_screen[:n]
+        capacity = 2 * (n + _ROOM)
+        self._active, self._on_screen = np.empty((capacity, 2), dtype=np.int32), np.empty(capacity)
+        self._active[:n], self._on_screen[:n] = active, on_screen
 
     # One frame
 
     @property
     def least_vertices(self) -> int:
-        """Return the smallest number of vertices: the corners of tiles."""
         return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
 
-    def update(
-        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
-    ) -> RestrictedFrame:
-        """Return the mesh for a view, within `tau` pixels.
-
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to their own heights while their errors rise from τ / λ to τ. 1:
-            they jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. Those around the eye
-            are split in any case.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
-        """
-        return self.draw(eye, self.follow(eye, tau, morph=morph, max_vertices=max_vertices))
-
-    def follow(
-        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
-    ) -> Followed:
-        """Split and merge for a view: the first half of `update`, whose arguments these are."""
-        check_update(tau, morph)
-        check_budget(max_vertices, self.least_vertices, "corner of a tile")
-        view, planes = self._view(eye), self._planes(eye)
-        self._pressure.relieve()
-        n_touched = n_changed = 0
-        while True:
-            threshold = tau * self._pressure.factor / morph
-            touched, changed = self._follow(view, planes, threshold, max_vertices)
-            n_touched, n_changed = n_touched + touched, n_changed + changed
-            if max_vertices is None or self._n_active <= max_vertices:
-                break
-            if not self._pressure.rise():
-                break
-        used = tau * self._pressure.factor
-        return Followed(used / morph, used, used, self._n_active, n_touched, n_changed)
-
     def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
-        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
-        view, planes, n = self._view(eye), self._planes(eye), self._n_active
+        view, planes, n = self._view(eye), self._planes(eye), self._n_vertices
         scratch = self._scratch
         vertex_of = scratch.take("vertex_of", self._is_active.shape, np.int32)
         vertices = scratch.take("vertices", (n, 3), np.float64)
         places = scratch.take("places", (n, 2), np.int32)
         triangles = scratch.take("triangles", (2 * n, 3), np.int32)
         count = self._place(view, planes, followed, vertex_of, vertices, places)
-        a, b, _, d, e, _ = self._matrix
         n_triangles = draw_triangles(
-            self._heights, self.tile, self._is_active, a * e < b * d, vertex_of, self._stack,
+            self._heights, self.tile, self._is_active, self.is_mirrored, vertex_of, self._stack,
             triangles,
         )  # fmt: skip
         edges, error = self._borders(eye, view, vertex_of, vertices)
@@ -248,30 +190,23 @@ class RestrictedMesh:
             edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
         )  # fmt: skip
 
-    def _follow(
-        self,
-        view: NDArray[np.float64],
-        planes: NDArray[np.float64],
-        threshold: float,
-        max_vertices: int | None,
-    ) -> tuple[int, int]:
-        """Merge and split up to the limit; return the numbers of touched and changed vertices."""
-        self._n_active, n_touched, n_changed = merge_vertices(
+    def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:  # noqa: ARG002
+        view, planes = self._view(eye), self._planes(eye)
+        self._n_vertices, n_touched, n_changed = merge_vertices(
             self._errors, self.tile, self._is_active, self._n_children, self._active,
-            self._on_screen, self._n_active, view, planes, threshold,
+            self._on_screen, self._n_vertices, view, planes, threshold,
         )  # fmt: skip
-        limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
         done = 0
-        while done < self._n_active <= limit:
-            if self._n_active + _ROOM > len(self._active):
+        while done < self._n_vertices <= limit:
+            if self._n_vertices + _ROOM > len(self._active):
                 self._reserve()
-            done, self._n_active, touched, changed = split_vertices(
+            done, self._n_vertices, touched, changed = split_vertices(
                 self._errors, self.tile, self._is_active, self._n_children, self._active,
-                self._on_screen, (done, self._n_active), (limit, threshold), (view, planes),
+                self._on_screen, (done, self._n_vertices), (limit, threshold), (view, planes),
                 self._stack,
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
-        return n_touched, n_changed
+        return n_touched, n_changed, 0.0
 
     def _place(
         self,
@@ -283,7 +218,7 @@ class RestrictedMesh:
         places: NDArray[np.int32],
     ) -> int:
         """Fill the valid vertices and their samples; return their number."""
-        n, start, end = self._n_active, followed.threshold, followed.tau
+        n, start, end = self._n_vertices, followed.threshold, followed.tau
         active = self._active[:n]
         shares = self._scratch.take("shares", (n,), np.float64)
         heights = self._scratch.take("heights", (n,), np.float64)
@@ -321,10 +256,10 @@ class RestrictedMesh:
             *self._range(eye), self._is_bound, *self._widths(),
             float(np.abs(eye.forward[:2]) @ self._widths()),
         )  # fmt: skip
-        return np.array([*numbers, *self._matrix], dtype=np.float64)
+        return np.array([*numbers, *self.matrix], dtype=np.float64)
 
     def _widths(self) -> tuple[float, float]:
-        a, b, _, d, e, _ = self._matrix
+        a, b, _, d, e, _ = self.matrix
         return abs(a) + abs(b), abs(d) + abs(e)
 
     def _range(self, eye: Eye) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 
-class Workers(ABC):
+class Threads(ABC):
     """Daemon threads: they end with the process, whatever they wait for.
 
     A subclass sets its own attributes first. `has_work` and `take` are called with `changed` held,
