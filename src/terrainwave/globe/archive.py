@@ -200,13 +200,8 @@ def _description(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return an archive's header and its metadata."""
     kinds = need("pmtiles.tile", extra="pmtiles")
-    west, south, east, north = globe.extent
+    west, south, east, north = tiling.bounds_of(globe)
     longitude, latitude = globe.extent.centre
-    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
-        west, east = -180.0, 180.0
-    south, north = (
-        min(max(lat, -tiling.MAX_LATITUDE), tiling.MAX_LATITUDE) for lat in (south, north)
-    )
     header = {
         "tile_type": kinds.TileType.PNG,
         "tile_compression": kinds.Compression.NONE,

@@ -339,6 +339,14 @@ def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
     return out.getvalue()
 
 
+def bounds_of(globe: Globe) -> list[float]:
+    """Return the bounds of a terrain's tiles: west, south, east and north, degrees."""
+    west, south, east, north = globe.extent
+    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
+        west, east = -180.0, 180.0
+    return [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)]
+
+
 def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict[str, object]:
     """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
 
@@ -352,10 +360,7 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
     encoding : str
         Encoding of the tiles at that URL.
     """
-    west, south, east, north = globe.extent
     last = max_zoom(globe)
-    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
-        west, east = -180.0, 180.0
     return {
         "tilejson": "3.0.0",
         "name": name,
@@ -363,7 +368,7 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
         "tiles": [url],
         "minzoom": 0,
         "maxzoom": last,
-        "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
+        "bounds": bounds_of(globe),
         "center": [*globe.extent.centre, max(last - 3, 0)],
         "encoding": encoding,
         "tileSize": TILE_SIZE,

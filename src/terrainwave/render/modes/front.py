@@ -405,7 +405,10 @@ class FrontMode(Mode):
 
     def _follow_all(self, eye: Eye, tau: float, relaxed: NDArray[np.float64]) -> float:
         """Update all meshes, within the budget; return the error they keep, in pixels."""
-        budget = self._max_vertices()
+        # A mesh has less than three triangles per vertex: two and, with skirts, two per edge on
+        # borders.
+        least = sum(patch.mesh.least_vertices for patch in self.shown)
+        budget = max(min(self.max_triangles // 3, MAX_VERTICES), least)
         self._pressure.relieve()
         while True:
             used = tau * self._pressure.factor
@@ -421,14 +424,6 @@ class FrontMode(Mode):
             for followed, factor in zip(self.followed, relaxed.tolist(), strict=True)
         ]
         return max(kept, default=tau)
-
-    def _max_vertices(self) -> int:
-        """Return the budget of a frame: a mesh has less than three triangles per vertex.
-
-        Two and, with skirts, two more per edge on borders.
-        """
-        least = sum(patch.mesh.least_vertices for patch in self.shown)
-        return max(min(self.max_triangles // 3, MAX_VERTICES), least)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
         followed: Followed = patch.mesh.follow(eye, tau, morph=MORPH, max_vertices=max_vertices)

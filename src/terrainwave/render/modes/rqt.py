@@ -33,21 +33,13 @@ class RqtMode(FrontMode):
 
     def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> RestrictedMesh:
         tile = max(1 << (max(heights.shape) - 2).bit_length(), 2)
-        coefficients = self._coefficients(piece, heights.shape)
-        return RestrictedMesh(heights, tile=tile, coefficients=coefficients, **given)
-
-    def _coefficients(self, piece: Piece, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
-        """Return the magnitudes of the file's coefficients in metres, 0 beyond the outline.
-
-        None if `error` does not need them.
-        """
-        if self._tiles is None:
-            return None
-        region = self.region(piece)
-        magnitudes = np.zeros(shape)
-        quanta = self._tiles.coefficients(piece.level, region)
-        magnitudes[: region.n_rows, : region.n_cols] = quanta
-        return magnitudes * abs(self._scale.per_quantum)
+        magnitudes = None
+        if self._tiles is not None:  # metres, 0 beyond the outline
+            region, magnitudes = self.region(piece), np.zeros(heights.shape)
+            quanta = self._tiles.coefficients(piece.level, region)
+            magnitudes[: region.n_rows, : region.n_cols] = quanta
+            magnitudes *= abs(self._scale.per_quantum)
+        return RestrictedMesh(heights, tile=tile, coefficients=magnitudes, **given)
 
     def frames_of(self, eye: Eye) -> list[PatchFrame]:
         return [

@@ -174,20 +174,37 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
 
     def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
         view, planes, n = self._view(eye), self._planes(eye), self._n_vertices
-        scratch = self._scratch
-        vertex_of = scratch.take("vertex_of", self._is_active.shape, np.int32)
-        vertices = scratch.take("vertices", (n, 3), np.float64)
-        places = scratch.take("places", (n, 2), np.int32)
-        triangles = scratch.take("triangles", (2 * n, 3), np.int32)
-        count = self._place(view, planes, followed, vertex_of, vertices, places)
+        take, active = self._scratch.take, self._active[:n]
+        start, end = followed.threshold, followed.tau
+        vertex_of = take("vertex_of", self._is_active.shape, np.int32)
+        shares, heights = take("shares", (n,), np.float64), take("heights", (n,), np.float64)
+        number_vertices(active, self._heights, vertex_of, heights)
+        if end > start:
+            fill_shares(
+                self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,
+                end, shares,
+            )  # fmt: skip
+        else:
+            shares[:] = 1.0
+        vertices, places = take("vertices", (n, 3), np.float64), take("places", (n, 2), np.int32)
+        z_scale, matrix = view[_Z_SCALE], view[_MATRIX:]
+        count = place_vertices(
+            active, vertex_of, shares, heights, z_scale, matrix, vertices, places
+        )
+        triangles = take("triangles", (2 * n, 3), np.int32)
         n_triangles = draw_triangles(
             self._heights, self.tile, self._is_active, self.is_mirrored, vertex_of, self._stack,
             triangles,
         )  # fmt: skip
-        edges, error = self._borders(eye, view, vertex_of, vertices)
+        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
+        n_edges, error = follow_borders(
+            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
+            z_scale, matrix, eye.planes, edges,
+        )  # fmt: skip
         return RestrictedFrame(
             vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
-            edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
+            edges[:n_edges].copy(), error, followed.n_vertices, followed.n_touched,
+            followed.n_changed, followed.tau,
         )  # fmt: skip
 
     def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:  # noqa: ARG002
@@ -207,48 +224,6 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
         return n_touched, n_changed, 0.0
-
-    def _place(
-        self,
-        view: NDArray[np.float64],
-        planes: NDArray[np.float64],
-        followed: Followed,
-        vertex_of: NDArray[np.int32],
-        vertices: NDArray[np.float64],
-        places: NDArray[np.int32],
-    ) -> int:
-        """Fill the valid vertices and their samples; return their number."""
-        n, start, end = self._n_vertices, followed.threshold, followed.tau
-        active = self._active[:n]
-        shares = self._scratch.take("shares", (n,), np.float64)
-        heights = self._scratch.take("heights", (n,), np.float64)
-        number_vertices(active, self._heights, vertex_of, heights)
-        if end > start:
-            fill_shares(
-                self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,
-                end, shares,
-            )  # fmt: skip
-        else:
-            shares[:] = 1.0
-        count: int = place_vertices(
-            active, vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:], vertices, places
-        )
-        return count
-
-    def _borders(
-        self,
-        eye: Eye,
-        view: NDArray[np.float64],
-        vertex_of: NDArray[np.int32],
-        vertices: NDArray[np.float64],
-    ) -> tuple[NDArray[np.int32], float]:
-        """Return the edges along open sides, and the distance of those in view from samples."""
-        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
-        n, error = follow_borders(
-            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
-            view[_Z_SCALE], view[_MATRIX:], eye.planes, edges,
-        )  # fmt: skip
-        return edges[:n].copy(), error
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
