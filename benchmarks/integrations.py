@@ -27,15 +27,15 @@ import numpy as np
 import rasterio
 import rioxarray
 import xarray as xr
-import zarr
-from zarr.codecs import BloscCodec
 from zarr.codecs.numcodecs import ZFPY, FixedScaleOffset, PCodec
 
 import terrainwave
+import zarr
 from benchmarks import common
 from benchmarks.rasters import load_raster, write_cog, write_geotiff
 from benchmarks.windows import corners
 from terrainwave.ext.zarr_codec import TerrainwaveCodec
+from zarr.codecs import BloscCodec
 
 _CHUNK, SIDE = 512, 512
 

@@ -11,7 +11,7 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
-from terrainwave.export.height_tiles import fill_voids
+from terrainwave.read.resample import fill_voids
 from terrainwave.write.compress import compress
 
 TRANSFORM = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 5000.0)
@@ -228,8 +228,8 @@ def test_fills_keep_what_is_known_and_lie_between():
     rng = np.random.default_rng(3)
     heights = rng.normal(size=(37, 22))
     valid = rng.random(heights.shape) < 0.2
-    filled = fill_voids(heights, valid)
+    filled = fill_voids(heights, valid, 4)
     np.testing.assert_array_equal(filled[valid], heights[valid])
     known = heights[valid]
     assert ((known.min() <= filled) & (filled <= known.max())).all()
-    assert not np.isnan(fill_voids(heights, np.zeros_like(valid))).any()
+    assert not np.isnan(fill_voids(heights, np.zeros_like(valid), 4)).any()

@@ -13,7 +13,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.globe.cesium import TilePyramid, layer_json, terrain_tile, write_tiles
+from terrainwave.globe.cesium import TilePyramid, write_tiles
 
 CELLS = 16
 UTM = Affine(200.0, 0.0, 4e5, 0.0, -200.0, 4e6)
@@ -262,10 +262,11 @@ def test_voids_have_the_height_asked_for_and_no_share_in_the_error(tmp_path):
 
 def test_there_are_no_tiles_beside_the_raster(tmp_path):
     with open_terrain(tmp_path, steep(20, 20), UTM, "EPSG:32633") as terrain:
-        last = TilePyramid(terrain).max_zoom
+        pyramid = TilePyramid(terrain)
+        last = pyramid.max_zoom
         for place in ((0, 2, 0), (0, 0, 1), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (last + 1, 0, 0)):
-            assert terrain_tile(terrain, *place) is None
-        assert terrain_tile(terrain, 0, 0, 0) is not None
+            assert pyramid.tile(*place) is None
+        assert pyramid.tile(0, 0, 0) is not None
 
 
 def test_raster_across_the_antimeridian_has_tiles_on_both_sides(tmp_path):
@@ -329,7 +330,7 @@ def test_edges_of_triangles_lie_within_half_of_the_zooms_error_below_the_globe(t
 def test_raster_without_a_place_has_no_tiles(tmp_path):
     with open_terrain(tmp_path, steep(8, 8), Affine.identity(), None) as terrain:
         with pytest.raises(InvalidHeightsError, match="no coordinate reference system"):
-            terrain_tile(terrain, 0, 0, 0)
+            TilePyramid(terrain)
 
 
 def tiles_listed(layer):
@@ -357,7 +358,7 @@ def test_layer_names_every_tile_that_is_written(tmp_path):
         layer = json.loads((tmp_path / "tiles" / "layer.json").read_text(encoding="utf-8"))
         pyramid = TilePyramid(terrain, cells=CELLS)
         assert layer == pyramid.layer(attribution="© somebody")
-        assert layer_json(terrain)["scheme"] == "tms"
+        assert layer["scheme"] == "tms"
         for x, y in pyramid.available(zooms[-1].zoom)[0].tiles():
             written = tmp_path / "tiles" / str(zooms[-1].zoom) / str(x) / f"{y}.terrain"
             assert written.read_bytes() == pyramid.tile(zooms[-1].zoom, x, y).data

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
+from terrainwave.read.resample import fill_voids
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.scene.camera import home
@@ -13,7 +14,6 @@ from terrainwave.render.scene.walls import (
     LID,
     TOP,
     build_solid,
-    fill_voids,
 )
 
 SIZE = (160, 120)
@@ -70,12 +70,12 @@ def test_voids_are_filled_between_the_heights_around_them():
     heights = np.tile(3.0 * np.arange(50), (40, 1))
     valid = np.ones(heights.shape, dtype=bool)
     valid[12:25, 15:33] = False
-    filled = fill_voids(np.where(valid, heights, 1e9), valid)
+    filled = fill_voids(np.where(valid, heights, 1e9), valid, 6)
     np.testing.assert_array_equal(filled[valid], heights[valid])
     assert 3 * 14 <= filled[~valid].min() <= filled[~valid].max() <= 3 * 33
     assert filled[18, 31] - filled[18, 16] > 20  # it goes up with what is around
     nothing = np.zeros((3, 4), dtype=bool)
-    np.testing.assert_array_equal(fill_voids(heights[:3, :4], nothing), heights[:3, :4])
+    np.testing.assert_array_equal(fill_voids(heights[:3, :4], nothing, 6), heights[:3, :4])
 
 
 @pytest.mark.gl

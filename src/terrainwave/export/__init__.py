@@ -14,32 +14,19 @@ FRAMES = ("local", "native", "ecef")
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """Format of mesh files.
+    """Format of mesh files."""
 
-    Attributes
-    ----------
-    writer : str
-        Module and function in `export` that return the bytes of a file, of a mesh in the frame of
-        the file, what the file is to say of it, and the path.
-    package : str, optional
-        Package that the writer needs, of the extra ``mesh``.
-    is_float32 : bool
-        Its coordinates are, so they count from the middle of the mesh.
-    has_normals, has_picture : bool
-        Surfaces have normals and texture coordinates; the picture itself can be in the file.
-    up : str
-        Its upward axis by default.
-    """
-
+    # module and function in `export` that return the bytes of a file, of a mesh in the frame of the
+    # file, what the file is to say of it, and the path
     writer: str
-    package: str | None = None
-    is_float32: bool = False
+    package: str | None = None  # package that the writer needs, of the extra ``mesh``
+    is_float32: bool = False  # its coordinates are, so they count from the middle of the mesh
+    # surfaces have normals and texture coordinates; the picture itself can be in the file
     has_normals: bool = False
     has_picture: bool = False
-    up: str = "z"
+    up: str = "z"  # its upward axis by default
 
     def write(self, *given: Any) -> bytes:
-        """Return the bytes of a file."""
         module, name = self.writer.split(".")
         data: bytes = getattr(import_module(f"{__name__}.{module}"), name)(*given)
         return data

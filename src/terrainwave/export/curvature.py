@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import AS_IS
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.mesh.mesh_data import CurvatureShare, MeshData
+from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import Place
 from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.place.vertical import (
@@ -50,29 +51,16 @@ _NONE = -1
 
 @dataclass(frozen=True)
 class GlobeWay:
-    """Conversion of a mesh's points to the globe.
-
-    Parameters
-    ----------
-    place : Place
-    metres : float
-        Per unit of height; negative if the CRS counts depths.
-    vertical : EllipsoidalHeights, optional
-        None: heights are assumed to be above the ellipsoid.
-    z_scale : float
-        Factor of heights.
-    is_radius : bool
-        Heights are distances from the body's centre.
-    """
+    """Conversion of a mesh's points to the globe."""
 
     place: Place
-    metres: float
+    metres: float  # per unit of height; negative if the CRS counts depths
+    # None: heights are assumed to be above the ellipsoid
     vertical: EllipsoidalHeights | None = None
-    z_scale: float = 1.0
-    is_radius: bool = False
+    z_scale: float = 1.0  # factor of heights
+    is_radius: bool = False  # heights are distances from the body's centre
 
     def describe(self, crs: str | None) -> dict[str, Any]:
-        """Return the metadata of heights on the globe."""
         if self.is_radius:
             return describe_radii()
         return describe_as_is(crs) if self.vertical is None else self.vertical.describe()
@@ -166,11 +154,8 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     errors = way.slack * _worst_inside(per_edge)
     corners = found.on_globe[mesh.triangles]
     sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice_areas = np.linalg.norm(normals, axis=1)
-    up = corners.mean(axis=1) / (1.0, 1.0, 1 - way.place.globe_ellipsoid.e2)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    rise = np.abs((normals * up).sum(axis=1))
+    rise, twice_areas = rises(corners, way.place.globe_ellipsoid)
+    rise = np.abs(rise)
     # Walls of bodies and skirts, vertical up to rounding, are not part of the surface.
     is_ground = rise > 1e-6 * twice_areas
     if not is_ground.any():
@@ -185,6 +170,17 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
     is_narrow = bend * spread > 0.5 * 4 * twice_areas[is_ground]
     slopes[is_narrow] = slopes.max()
     return float(errors.max() + 2 * (slopes * errors[is_ground]).max())
+
+
+def rises(corners: Numbers, ellipsoid: Ellipsoid) -> tuple[Numbers, Numbers]:
+    """Return twice the areas of geocentric triangles seen from above, and as they are.
+
+    The first are negative for triangles that face inwards.
+    """
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = corners.mean(axis=1) / (1.0, 1.0, 1 - ellipsoid.e2)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    return (normals * up).sum(axis=1), np.linalg.norm(normals, axis=1)
 
 
 def divided(mesh: MeshData, way: GlobeWay) -> MeshData:

@@ -26,17 +26,10 @@ _STRETCH = 1e-6
 
 @dataclass(frozen=True)
 class AboveEllipsoid:
-    """Metadata of a GeoTIFF with ellipsoidal heights, and the heights of its windows.
+    """Metadata of a GeoTIFF with ellipsoidal heights, and the heights of its windows."""
 
-    Parameters
-    ----------
-    info : RasterInfo
-        In metres, of the CRS with ellipsoidal heights.
-    stated : dict of str
-        Metadata of its heights: the bound of the full grid; none for coarse levels.
-    """
-
-    info: RasterInfo
+    info: RasterInfo  # in metres, of the CRS with ellipsoidal heights
+    # metadata of its heights: the bound of the full grid; none for coarse levels
     stated: dict[str, str]
     _way: EllipsoidalHeights
     _source: RasterInfo

@@ -32,7 +32,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.position import place_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
-from terrainwave.read.resample import bilinear_sums, weighted_means
+from terrainwave.read.resample import bilinear_sums, fill_voids, weighted_means
 
 _MAX_SAMPLES = MAX_TILE_SIZE**2
 _HIGHEST = 65535
@@ -99,7 +99,7 @@ def write_height_tile(
     _warn_of_aspect(terrain, region, level, shape)
     # A float replaces all voids; without voids the range must not be stretched to it.
     if filling == "fill":
-        heights = fill_voids(heights, valid)
+        heights = fill_voids(heights, valid, _SMOOTHING_ROUNDS)
     elif isinstance(filling, float):
         heights = np.where(valid, heights, filling)
     has_heights = valid if filling == "lowest" else np.ones_like(valid)
@@ -226,20 +226,15 @@ def _describe(
 
 
 def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
-    """Return width and height of a pixel in metres; None if the CRS does not define them."""
     raster = terrain.raster_info
     if raster.crs is None:
         return None
-    try:
-        place = place_of(raster.crs, terrain.bounds)
-    except TerrainwaveError:  # pyproj is not installed
-        return None
     left, bottom, right, top = terrain.bounds
     try:
-        axes = place.local_axes((left + right) / 2, (bottom + top) / 2)
-    except TerrainwaveError:  # at a pole
+        place = place_of(raster.crs, terrain.bounds)
+        per_x, per_y = place.local_axes((left + right) / 2, (bottom + top) / 2).lengths
+    except TerrainwaveError:  # pyproj is not installed, or at a pole
         return None
-    per_x, per_y = axes.lengths
     a, b, _, d, e, _ = transform
     return [math.hypot(a * per_x, d * per_y), math.hypot(b * per_x, e * per_y)]
 
@@ -277,31 +272,6 @@ def checked_voids(voids: str | float) -> str | float:
         with suppress(ValueError):
             voids = float(voids)
     return checked_number("voids", voids, expected="lowest, fill or a height")
-
-
-def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return a copy of heights whose voids are filled smoothly from their surroundings.
-
-    Averages of 2 x 2 samples fill as many as they can, those of coarser levels the rest; on each
-    level a few rounds of averaging with the neighbours make the result smooth.
-    """
-    if valid.all() or not valid.any():
-        return heights.copy()
-    n_rows, n_cols = heights.shape
-    padding = ((0, n_rows % 2), (0, n_cols % 2))
-    known = np.pad(valid, padding).astype(np.float64)
-    sums = np.pad(np.where(valid, heights, 0.0), padding)
-    counts, totals = (
-        grid.reshape(-(-n_rows // 2), 2, -1, 2).sum(axis=(1, 3)) for grid in (known, sums)
-    )
-    coarse = fill_voids(totals / np.maximum(counts, 1), counts > 0)
-    fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[:n_rows, :n_cols]
-    filled = np.where(valid, heights, fine)
-    for _ in range(_SMOOTHING_ROUNDS):
-        wide = np.pad(filled, 1, mode="edge")
-        mean = (wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]) / 4
-        filled = np.where(valid, heights, mean)
-    return filled
 
 
 def _tile_transform(

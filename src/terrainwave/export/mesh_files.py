@@ -21,7 +21,14 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export import MESH_ENDINGS, MESH_FORMATS, TILE, Shape
-from terrainwave.export.curvature import GlobeWay, divided, least_share, mesh_unit, share_of_edge
+from terrainwave.export.curvature import (
+    GlobeWay,
+    divided,
+    least_share,
+    mesh_unit,
+    rises,
+    share_of_edge,
+)
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_formats import EXTRA, SavedMesh, obj_digits, turned_y_up
@@ -209,25 +216,17 @@ def file_rounding(mesh: MeshData, path: str | os.PathLike[str], **options: Any) 
 
 
 def mesh_for_file(
-    make: Callable[[float], Made],
+    make: Callable[[float], Made],  # returns the mesh for an error
+    # `path, options`: of `save_mesh`
     path: str | os.PathLike[str],
     max_error: float,
-    of_heights: float,
+    of_heights: float,  # the part of `max_error` that the file's heights take
     **options: Any,
 ) -> tuple[Made, bool]:
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
     Rounding in the file adds to a mesh's error, so the mesh is made again with a smaller one. On a
     globe the curvature gets a share of the error that the heights leave.
-
-    Parameters
-    ----------
-    make : callable
-        Returns the mesh for an error.
-    of_heights : float
-        The part of `max_error` that the file's heights take.
-    path, options
-        Of `save_mesh`.
 
     Raises
     ------
@@ -278,20 +277,12 @@ class _TooSmall(Exception):
 
 def _fitted(
     make: Callable[[float], Made],
-    rounding_of: Callable[[Made], float],
+    rounding_of: Callable[[Made], float],  # returns what the file adds to a mesh's error
     max_error: float,
     of_heights: float,
-    globe: Shape | None,
+    globe: Shape | None,  # None for a mesh that is not on a globe
 ) -> tuple[Made, bool]:
-    """Return the mesh of `mesh_for_file`; raise `_TooSmall` instead of a refusal.
-
-    Parameters
-    ----------
-    rounding_of : callable
-        Returns what the file adds to a mesh's error.
-    globe : Shape, optional
-        None for a mesh that is not on a globe.
-    """
+    """Return the mesh of `mesh_for_file`; raise `_TooSmall` instead of a refusal."""
     left = 0.0 if globe is None else max(max_error - of_heights, 0.0)
     share = CURVATURE_SHARE * left
     try:
@@ -431,7 +422,6 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
 
 
 def describe(mesh: MeshData, error: float) -> dict[str, Any]:
-    """Describe a mesh in a frame, as plain values for the file's JSON."""
     frame = {name: value for name, value in mesh.attributes["frame"].items() if value is not None}
     about: dict[str, Any] = {"generator": f"terrainwave {__version__}", "origin": list(mesh.origin)}
     about |= {"frame": frame, "error": error}
@@ -495,12 +485,7 @@ def _rounding(
 
 def _steepest_on(mesh: MeshData, ellipsoid: Any) -> float:
     """Return the largest slope of the triangles of a geocentric mesh that face outwards."""
-    corners = mesh.points[mesh.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    up = corners.mean(axis=1) / (1.0, 1.0, 1 - ellipsoid.e2)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
-    rise = (normals * up).sum(axis=1)
-    lengths = np.linalg.norm(normals, axis=1)
+    rise, lengths = rises(mesh.points[mesh.triangles], ellipsoid)
     # Walls are vertical up to rounding.
     faces_up = rise > 1e-6 * lengths
     if not faces_up.any():

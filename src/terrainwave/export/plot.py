@@ -55,7 +55,6 @@ def colours_of_heights(
 
 
 def plot(mesh: MeshData, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
-    """Draw a mesh; see `Mesh.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     collections = need("matplotlib.collections", extra="demo")
 
@@ -104,7 +103,6 @@ def _labels(mesh: MeshData) -> tuple[str, str]:
 
 
 def label_axes(ax: Any, x: str, y: str) -> None:
-    """Label axes, with coordinates written in full."""
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     with contextlib.suppress(AttributeError, TypeError):  # axes with ticks of their own

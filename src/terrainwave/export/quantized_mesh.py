@@ -96,7 +96,6 @@ def on_globe(
 
 
 def _metres(mesh: MeshData) -> float:
-    """Return the length of a unit of heights in metres."""
     return abs(mesh_unit(mesh).metres)
 
 
@@ -110,7 +109,8 @@ def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
     bounds : (west, south, east, north)
         Of the tile, in degrees.
     """
-    points, triangles = _in_order_of_use(globe.mesh)
+    used, triangles = in_order_of_use(globe.mesh.triangles)
+    points = globe.mesh.points[used]
     quantized, rounding, low, high = _quantize(points, triangles, bounds)
     about = {"bounds": list(bounds), "geometricerror": globe.mesh.error + rounding}
     about |= {name: globe.mesh.attributes[name] for name in ("vertical",)}
@@ -119,28 +119,17 @@ def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
 
 
 def tile_bytes(
+    # shape (n_vertices, 3); longitude, latitude in degrees and height in metres, in the order of
+    # their first use
     points: NDArray[np.float64],
+    # shape (n_vertices, 3); the same as in the tile: (u, v, h) in 0 … 32767
     quantized: NDArray[np.int16],
-    triangles: NDArray[np.int64],
-    heights: tuple[float, float],
+    triangles: NDArray[np.int32],  # shape (n_triangles, 3); counter-clockwise seen from above
+    heights: tuple[float, float],  # heights of h = 0 and h = 32767; exact in float32
     ellipsoid: Ellipsoid,
-    about: dict[str, Any],
+    about: dict[str, Any],  # for the metadata extension
 ) -> bytes:
-    """Return the bytes of a tile.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n_vertices, 3)
-        Longitude, latitude in degrees and height in metres, in the order of their first use.
-    quantized : ndarray of int16, shape (n_vertices, 3)
-        The same as in the tile: (u, v, h) in 0 … 32767.
-    triangles : ndarray of int64, shape (n_triangles, 3)
-        Counter-clockwise seen from above.
-    heights : tuple of float
-        Heights of h = 0 and h = 32767; exact in float32.
-    about : dict
-        For the metadata extension.
-    """
+    """Return the bytes of a tile."""
     encoder = need("quantized_mesh_encoder.encode", extra="mesh")
     from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
     from quantized_mesh_encoder.extensions import MetadataExtension
@@ -186,17 +175,21 @@ def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[
     return dict(zip(names, (direction * far).tolist(), strict=True))
 
 
-def _in_order_of_use(mesh: MeshData) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices in the order in which triangles first use them, as the format requires."""
-    used, first, places = np.unique(mesh.triangles.ravel(), return_index=True, return_inverse=True)
+def in_order_of_use(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Return vertices in the order in which triangles first use them, and triangles of these.
+
+    The format requires this order.
+    """
+    used, first, places = np.unique(triangles.ravel(), return_index=True, return_inverse=True)
     order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return mesh.points[used[order]], rank[places.ravel()].reshape(-1, 3)
+    rank = np.empty(len(order), dtype=np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    renumbered: NDArray[np.int32] = rank[places.ravel()].reshape(-1, 3)
+    return used[order].astype(np.int64), renumbered
 
 
 def _quantize(
-    points: NDArray[np.float64], triangles: NDArray[np.int64], bounds: "Sequence[float]"
+    points: NDArray[np.float64], triangles: NDArray[np.int32], bounds: "Sequence[float]"
 ) -> tuple[NDArray[np.int16], float, float, float]:
     """Return (u, v, h) in 0 … 32767, the rounding in metres, lowest and highest height."""
     low = float(np.nextafter(np.float32(points[:, 2].min()), np.float32(-np.inf)))
@@ -206,7 +199,7 @@ def _quantize(
     steps = np.clip(np.rint((points - start) / size * STEPS), 0, STEPS)
     written = start + steps / STEPS * size
     moved = np.abs(written - points).max(axis=0)
-    flat = MeshData(points, triangles.astype(np.int32), (0.0, 0.0, 0.0), 0.0)
+    flat = MeshData(points, triangles, (0.0, 0.0, 0.0), 0.0)
     slope_x, slope_y = steepest(flat)
     rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])
     return steps.astype(np.int16), rounding, low, high
@@ -248,6 +241,6 @@ def save_tile(
 def tile_rounding(mesh: MeshData, *, radius: float | None = None, vertical: str = AS_IS) -> float:
     """Return the error that `save_tile` would add to the mesh's, in the file's unit."""
     globe = on_globe(mesh, radius=radius, vertical=vertical)
-    points, triangles = _in_order_of_use(globe.mesh)
-    rounding = _quantize(points, triangles, globe.mesh.bounds)[1]
+    used, triangles = in_order_of_use(globe.mesh.triangles)
+    rounding = _quantize(globe.mesh.points[used], triangles, globe.mesh.bounds)[1]
     return (globe.mesh.error + rounding) / _metres(mesh) - mesh.error

@@ -65,7 +65,6 @@ class VirtualGeoTIFF:
 
     @property
     def size(self) -> int:
-        """Return the number of bytes."""
         return self._layout[1][-1].stop
 
     def read_at(self, place: int, n_bytes: int) -> bytes:

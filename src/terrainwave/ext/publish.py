@@ -13,7 +13,6 @@ import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish_directory
@@ -41,23 +40,13 @@ _IMPORT = re.compile(r'^(?:import|export)\b[^;"]* from "(\.[^"]+)";', re.MULTILI
 
 @dataclass(frozen=True)
 class PublishedTerrain:
-    """One file of a published folder.
+    """One file of a published folder."""
 
-    Parameters
-    ----------
-    name : str
-        Its name on the page.
-    file : str
-        Its name in the folder.
-    n_bytes : int
-    place_error : float
-        Largest difference of positions in the browser from PROJ's, in samples of the full grid
-        (`fit_places`).
-    """
-
-    name: str
-    file: str
+    name: str  # its name on the page
+    file: str  # its name in the folder
     n_bytes: int
+    # largest difference of positions in the browser from PROJ's, in samples of the full grid
+    # (`fit_places`)
     place_error: float
 
 
@@ -130,7 +119,8 @@ def publish_site(
             _log.info("%s: %d bytes", file, source.size)
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
-        _write_list(new / LIST, descriptions)
+        text = json.dumps(descriptions, allow_nan=False) + "\n"
+        (new / LIST).write_text(text, encoding="utf-8")
     return published
 
 
@@ -191,10 +181,6 @@ def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:
             _copy_tree(path, target / path.name, ignored)
         elif ignored is None or not path.name.endswith(ignored):
             shutil.copyfile(path, target / path.name)
-
-
-def _write_list(path: Path, descriptions: list[dict[str, Any]]) -> None:
-    path.write_text(json.dumps(descriptions, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def reader_directory() -> Path:

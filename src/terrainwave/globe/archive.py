@@ -8,11 +8,9 @@ import logging
 import math
 import os
 import warnings
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from terrainwave._version import __version__
@@ -30,6 +28,7 @@ from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need, with_extra
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
+from terrainwave.globe.tile_scheme import in_order
 from terrainwave.progress import ProgressCallback, Reporter
 
 if TYPE_CHECKING:
@@ -43,21 +42,13 @@ _AHEAD = 4
 
 @dataclass(frozen=True)
 class ArchivedZoom:
-    """Summary of one zoom; errors in metres, the largest of its tiles (`RgbTile`).
-
-    Parameters
-    ----------
-    zoom, n_tiles, n_bytes : int
-    surface_error : float
-        From resampling to Web Mercator and the steps of the encoding.
-    terrain_error : float
-        Largest distance of originals from the level that the tiles were made from.
-    """
+    """Summary of one zoom; errors in metres, the largest of its tiles (`RgbTile`)."""
 
     zoom: int
     n_tiles: int
     n_bytes: int
-    surface_error: float
+    surface_error: float  # from resampling to Web Mercator and the steps of the encoding
+    # largest distance of originals from the level that the tiles were made from
     terrain_error: float
 
 
@@ -70,13 +61,12 @@ def write_pmtiles(
     max_zoom: int | None = None,
     rim: int = 0,
     void_height: float | None = None,
-    encoding: str = tiling.MAPBOX,
-    transparent_voids: bool = False,
     radius: float | None = None,
     attribution: str = "",
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
+    **options: Any,
 ) -> list[ArchivedZoom]:
     """Write a terrain's terrain-RGB tiles as one PMTiles archive.
 
@@ -93,11 +83,6 @@ def write_pmtiles(
         (`rgb_tile`).
     void_height : float, optional
         Height in metres of voids, which the format lacks; by default 1 m below the lowest height.
-    encoding : {"mapbox", "terrarium"}
-        Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m. A warning
-        lists heights outside its range.
-    transparent_voids : bool
-        Give pixels of voids alpha 0.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
     attribution : str
@@ -106,6 +91,8 @@ def write_pmtiles(
         All processors by default; the bytes don't depend on it.
     overwrite : bool
         Replace an existing file.
+    options
+        Of `terrain_rgb.look_of`. A warning lists heights outside the encoding's range.
 
     Raises
     ------
@@ -129,14 +116,20 @@ def write_pmtiles(
     globe = Globe(terrain, radius=radius)
     zooms = _checked_zooms(globe, min_zoom, max_zoom)
     rim = checked_whole("rim", rim, least=0, most=tiling.MAX_RIM)
-    check_flags(transparent_voids=transparent_voids, overwrite=overwrite)
-    look = tiling.Look(tiling.encoding_of(encoding).name, transparent_voids)
+    check_flags(overwrite=overwrite)
+    look = tiling.look_of(**options)
     if void_height is not None:
         void_height = checked_number("void_height", void_height)
-        tiling.check_void_height(void_height, encoding)
-    if note := tiling.note_on_range(globe, encoding):
+        tiling.check_void_height(void_height, look.encoding)
+    if note := tiling.note_on_range(globe, look.encoding):
         warnings.warn(note, TerrainwaveWarning, stacklevel=2)
     numbers = {zoom: _numbers(globe, zoom, rim) for zoom in zooms}
+    place_of = need("pmtiles.tile", extra="pmtiles").tileid_to_zxy
+
+    def make(number: int) -> tiling.RgbTile | None:
+        z, x, y = place_of(number)
+        return tiling.rgb_tile(globe, z, x, y, rim, look, void_height=void_height)
+
     reporter, n_done, total = Reporter(progress), 0, sum(map(len, numbers.values()))
     n_threads = checked_threads(threads)
     summaries = []
@@ -150,9 +143,7 @@ def write_pmtiles(
         temporary.enter_context(closing(writer.tile_f))  # the writer leaves it open after a failure
         for zoom in zooms:
             written = []
-            for number, tile in _tiles(
-                globe, numbers[zoom], rim, look, void_height, executor, _AHEAD * n_threads
-            ):
+            for number, tile in in_order(executor, make, numbers[zoom], _AHEAD * n_threads):
                 if tile is not None:
                     writer.write_tile(number, tile.png)
                     written.append((len(tile.png), tile.error, tile.terrain_error))
@@ -166,7 +157,7 @@ def write_pmtiles(
                 )
         if not summaries:
             raise InvalidHeightsError("there is no valid height: an archive would have no tile")
-        writer.finalize(*_description(globe, summaries, attribution, encoding))
+        writer.finalize(*_description(globe, summaries, attribution, look.encoding))
     return summaries
 
 
@@ -204,39 +195,13 @@ def _numbers(globe: Globe, zoom: int, rim: int) -> list[int]:
     )
 
 
-def _tiles(
-    globe: Globe,
-    numbers: list[int],
-    rim: int,
-    look: tiling.Look,
-    void_height: float | None,
-    executor: ThreadPoolExecutor,
-    n_ahead: int,
-) -> Iterator[tuple[int, tiling.RgbTile | None]]:
-    """Yield numbers and tiles in order; only a few wait at a time."""
-    place_of = need("pmtiles.tile", extra="pmtiles").tileid_to_zxy
-
-    def tile(number: int) -> tiling.RgbTile | None:
-        z, x, y = place_of(number)
-        return tiling.rgb_tile(globe, z, x, y, rim, look, void_height=void_height)
-
-    left = iter(numbers)
-    while batch := list(islice(left, n_ahead)):
-        yield from zip(batch, executor.map(tile, batch), strict=True)
-
-
 def _description(
     globe: Globe, summaries: list[ArchivedZoom], attribution: str, encoding: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return an archive's header and its metadata."""
     kinds = need("pmtiles.tile", extra="pmtiles")
-    west, south, east, north = globe.extent
+    west, south, east, north = tiling.bounds_of(globe)
     longitude, latitude = globe.extent.centre
-    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
-        west, east = -180.0, 180.0
-    south, north = (
-        min(max(lat, -tiling.MAX_LATITUDE), tiling.MAX_LATITUDE) for lat in (south, north)
-    )
     header = {
         "tile_type": kinds.TileType.PNG,
         "tile_compression": kinds.Compression.NONE,

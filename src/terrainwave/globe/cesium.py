@@ -10,10 +10,9 @@ depend only on these, so both tiles have the same vertices there.
 import json
 import logging
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from terrainwave.arguments import AS_IS, checked_threads
@@ -23,7 +22,7 @@ from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_heights import TileHeights
 from terrainwave.globe.tile_mesh import TileMesh, TileMesher
-from terrainwave.globe.tile_scheme import CELLS, TileScheme
+from terrainwave.globe.tile_scheme import CELLS, TileScheme, in_order
 from terrainwave.place.vertical import note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
 
@@ -91,12 +90,10 @@ class TilePyramid(TileScheme):
         self._mesher = TileMesher(self, self._heights)
 
     def tolerance(self, zoom: int) -> float:
-        """Return the largest distance of a tile's mesh from the heights at its cells, in metres."""
         return self._heights.tolerance(zoom)
 
     @property
     def vertical(self) -> dict[str, Any]:
-        """Return the metadata of heights in tiles."""
         return self._heights.vertical
 
     def layer(self, *, version: str = "1.0.0", attribution: str = "") -> dict[str, Any]:
@@ -145,63 +142,19 @@ class TilePyramid(TileScheme):
         return self._mesher.tile(zoom, x, y)
 
 
-def terrain_tile(
-    terrain: "TerrainFile", zoom: int, x: int, y: int, *, void_height: float = 0.0
-) -> bytes | None:
-    """Return one quantized-mesh tile of a terrain; None if it does not exist.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    zoom, x, y : int
-        TMS: x from longitude -180 eastwards, y from latitude -90 northwards.
-    void_height : float
-        Height in metres above the ellipsoid outside of the raster; voids are holes.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe.
-    CorruptStreamError
-        If a block is damaged.
-    TerrainwaveError
-        If quantized-mesh-encoder is missing.
-
-    Notes
-    -----
-    For many tiles keep a `TilePyramid`.
-    """
-    tile = TilePyramid(terrain, void_height=void_height).tile(zoom, x, y)
-    return None if tile is None else tile.data
-
-
-def layer_json(terrain: "TerrainFile", *, attribution: str = "") -> dict[str, Any]:
-    """Return the content of ``layer.json`` for a terrain's tiles, as plain values."""
-    return TilePyramid(terrain).layer(attribution=attribution)
-
-
 @dataclass(frozen=True)
 class ZoomSummary:
-    """Summary of one zoom; errors in metres.
-
-    Parameters
-    ----------
-    zoom, n_tiles, n_triangles, n_bytes : int
-    geometric_error : float
-        Cesium's assumption about a tile's error.
-    surface_error : float or None
-        Largest one of the tiles: distance of the bilinear heights of the level read from the tile;
-        see `TileMesh`.
-    error : float or None
-        Largest one of the tiles: the same, plus the distance of originals from these heights.
-    """
+    """Summary of one zoom; errors in metres."""
 
     zoom: int
     n_tiles: int
     n_triangles: int
     n_bytes: int
-    geometric_error: float
+    geometric_error: float  # Cesium's assumption about a tile's error
+    # largest one of the tiles: distance of the bilinear heights of the level read from the tile;
+    # see `TileMesh`
     surface_error: float | None
+    # largest one of the tiles: the same, plus the distance of originals from these heights
     error: float | None
 
 
@@ -256,44 +209,31 @@ def write_tiles(
         storage_errors(f"cannot write {os.fspath(directory)}"),
     ):
         for zoom in zooms:
-            n_tiles, n_triangles, n_bytes = 0, 0, 0
-            surface_errors, errors = [], []
-            for x, y, tile in _tiles_of(pyramid, zoom, executor, _AHEAD * n_threads):
+            places = (place for area in pyramid.available(zoom) for place in area.tiles())
+            make = partial(_tile_at, pyramid, zoom)
+            written, errors = [], []
+            for (x, y), tile in in_order(executor, make, places, _AHEAD * n_threads):
+                if tile is None:
+                    continue
                 place = new / str(zoom) / str(x) / f"{y}.terrain"
                 place.parent.mkdir(parents=True, exist_ok=True)
                 place.write_bytes(tile.data)
-                n_tiles += 1
-                n_triangles += tile.n_triangles
-                n_bytes += len(tile.data)
+                written.append((tile.n_triangles, len(tile.data)))
                 if tile.surface_error is not None and tile.error is not None:
-                    surface_errors.append(tile.surface_error)
-                    errors.append(tile.error)
+                    errors.append((tile.surface_error, tile.error))
                 n_done += 1
                 reporter.report("writing tiles", n_done, total)
-            _log.info("zoom %d: %d tiles, %d bytes", zoom, n_tiles, n_bytes)
+            n_triangles, n_bytes = (sum(column) for column in zip((0, 0), *written, strict=True))
+            largest = map(max, zip(*errors, strict=True)) if errors else (None, None)
+            _log.info("zoom %d: %d tiles, %d bytes", zoom, len(written), n_bytes)
+            geometric_error = pyramid.geometric_error(zoom)
             summaries.append(
-                ZoomSummary(
-                    zoom,
-                    n_tiles,
-                    n_triangles,
-                    n_bytes,
-                    pyramid.geometric_error(zoom),
-                    max(surface_errors, default=None),
-                    max(errors, default=None),
-                )
+                ZoomSummary(zoom, len(written), n_triangles, n_bytes, geometric_error, *largest)
             )
         layer = pyramid.layer(attribution=attribution)
         (new / LAYER).write_text(json.dumps(layer, indent=1) + "\n", encoding="utf-8")
     return summaries
 
 
-def _tiles_of(
-    pyramid: TilePyramid, zoom: int, executor: ThreadPoolExecutor, n_ahead: int
-) -> Iterator[tuple[int, int, TileMesh]]:
-    """Yield x, y and the tile, for all of a zoom in order; only a few wait at a time."""
-    places = (place for area in pyramid.available(zoom) for place in area.tiles())
-    while batch := list(islice(places, n_ahead)):
-        tiles = executor.map(lambda place: pyramid.tile(zoom, *place), batch)
-        for (x, y), tile in zip(batch, tiles, strict=True):
-            if tile is not None:
-                yield x, y, tile
+def _tile_at(pyramid: TilePyramid, zoom: int, place: tuple[int, int]) -> TileMesh | None:
+    return pyramid.tile(zoom, *place)

@@ -216,7 +216,6 @@ class Globe:
 
     @cached_property
     def extent(self) -> Extent:
-        """Return the part of the globe that the raster's pixels cover."""
         n_rows, n_cols = self.terrain.shape
         along, inside = np.linspace(-0.5, 0.5, _N_ALONG), np.linspace(-0.5, 0.5, _N_INSIDE)
         first, last = np.full(_N_ALONG, -0.5), np.full(_N_ALONG, 0.5)

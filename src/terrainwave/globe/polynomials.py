@@ -31,23 +31,15 @@ _BEYOND = (1e-3, 0.0)
 
 @dataclass(frozen=True)
 class FittedPlaces:
-    """Rows and columns of a full grid as polynomials of longitude and latitude.
+    """Rows and columns of a full grid as polynomials of longitude and latitude."""
 
-    Attributes
-    ----------
-    domain : Extent
-        Degrees that map to the arguments -1 … 1 of the polynomials.
-    rows, cols : ndarray of float64, shape (n_lat, n_lon)
-        Coefficients of products of Chebyshev polynomials. If the raster's rows are parallels,
-        columns of another turn differ by `Globe.turn`.
-    error : float
-        Samples. Largest difference from PROJ's rows and columns within the raster, found at
-        22,500 points.
-    """
-
-    domain: Extent
+    domain: Extent  # degrees that map to the arguments -1 … 1 of the polynomials
+    # shape (n_lat, n_lon); coefficients of products of Chebyshev polynomials. If the raster's rows
+    # are parallels, columns of another turn differ by `Globe.turn`.
     rows: Numbers
     cols: Numbers
+    # samples. Largest difference from PROJ's rows and columns within the raster, found at 22,500
+    # points.
     error: float
 
     def as_json(self, globe: Globe) -> dict[str, Any]:

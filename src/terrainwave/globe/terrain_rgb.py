@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_choice
+from terrainwave.arguments import check_choice, check_flags
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
@@ -33,21 +33,11 @@ _HIGHEST_CODE = (1 << 24) - 1
 
 
 class Encoding(NamedTuple):
-    """Encoding of heights as pixels; metres.
+    """Encoding of heights as pixels; metres."""
 
-    Parameters
-    ----------
-    name : str
-        As in TileJSON and MapLibre's sources.
-    lowest : float
-        The height of code 0.
-    step : float
-        From one code to the next; R is a code's highest byte, B its lowest.
-    """
-
-    name: str
-    lowest: float
-    step: float
+    name: str  # as in TileJSON and MapLibre's sources
+    lowest: float  # the height of code 0
+    step: float  # from one code to the next; R is a code's highest byte, B its lowest
 
     @property
     def highest(self) -> float:
@@ -75,22 +65,14 @@ MAPBOX = "mapbox"
 
 
 class Look(NamedTuple):
-    """Appearance of heights and voids in tiles.
+    """Appearance of heights and voids in tiles."""
 
-    Parameters
-    ----------
-    encoding : str
-        One of `ENCODINGS`.
-    transparent_voids : bool
-        Pixels without heights have alpha 0, all others 255. Colours are not affected.
-    """
-
-    encoding: str = MAPBOX
+    encoding: str = MAPBOX  # one of `ENCODINGS`
+    # pixels without heights have alpha 0, all others 255. Colours are not affected.
     transparent_voids: bool = False
 
     @property
     def voids(self) -> str:
-        """Return the name of the appearance of voids in addresses."""
         return "transparent" if self.transparent_voids else "height"
 
 
@@ -109,36 +91,43 @@ def encoding_of(name: str) -> Encoding:
     return ENCODINGS[name]
 
 
+def look_of(*, encoding: str = MAPBOX, transparent_voids: bool = False) -> Look:
+    """Return a look of tiles.
+
+    Parameters
+    ----------
+    encoding : {"mapbox", "terrarium"}
+        Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
+    transparent_voids : bool
+        Give pixels of voids alpha 0.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If an option has none of its values.
+    """
+    check_flags(transparent_voids=transparent_voids)
+    return Look(encoding_of(encoding).name, transparent_voids)
+
+
 @dataclass(frozen=True)
 class RgbTile:
-    """A terrain-RGB tile.
+    """A terrain-RGB tile."""
 
-    Attributes
-    ----------
-    png : bytes
-        `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent.
-    error : float
-        Metres. Largest distance found between the tile's bilinear surface, in the steps of its
-        encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
-        pixels and halfway between them: resampling to Web Mercator and rounding.
-    terrain_error : float
-        Metres. No original under the tile is further from the bilinear surface of those decoded
-        samples (measured when the file was written, `Terrain.block_error`).
-    level : int
-        The resolution level of the samples, counted from 0.
-    voids : ndarray of uint8, shape (TILE_SIZE, TILE_SIZE)
-        Void share of each pixel: 0 nothing, 255 all.
-    """
-
-    png: bytes
+    png: bytes  # `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent
+    # metres. Largest distance found between the tile's bilinear surface, in the steps of its
+    # encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
+    # pixels and halfway between them: resampling to Web Mercator and rounding.
     error: float
+    # metres. No original under the tile is further from the bilinear surface of those decoded
+    # samples (measured when the file was written, `Terrain.block_error`).
     terrain_error: float
-    level: int
+    level: int  # the resolution level of the samples, counted from 0
+    # shape (TILE_SIZE, TILE_SIZE); void share of each pixel: 0 nothing, 255 all
     voids: NDArray[np.uint8]
 
 
 def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return degrees of fractional tile columns."""
     return x / (1 << z) * 360.0 - 180.0
 
 
@@ -148,7 +137,6 @@ def latitudes_of(z: int, y: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def column_of(z: int, longitude: float) -> float:
-    """Return the fractional tile column of a longitude."""
     return (longitude + 180.0) / 360.0 * (1 << z)
 
 
@@ -351,6 +339,14 @@ def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
     return out.getvalue()
 
 
+def bounds_of(globe: Globe) -> list[float]:
+    """Return the bounds of a terrain's tiles: west, south, east and north, degrees."""
+    west, south, east, north = globe.extent
+    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
+        west, east = -180.0, 180.0
+    return [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)]
+
+
 def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict[str, object]:
     """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
 
@@ -364,10 +360,7 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
     encoding : str
         Encoding of the tiles at that URL.
     """
-    west, south, east, north = globe.extent
     last = max_zoom(globe)
-    if east > 180:  # bounds cannot cross 180 degrees: use the whole round, with mostly empty tiles
-        west, east = -180.0, 180.0
     return {
         "tilejson": "3.0.0",
         "name": name,
@@ -375,7 +368,7 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
         "tiles": [url],
         "minzoom": 0,
         "maxzoom": last,
-        "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
+        "bounds": bounds_of(globe),
         "center": [*globe.extent.centre, max(last - 3, 0)],
         "encoding": encoding,
         "tileSize": TILE_SIZE,

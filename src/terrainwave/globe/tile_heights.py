@@ -65,7 +65,6 @@ class TileHeights:
 
     @property
     def vertical(self) -> dict[str, Any]:
-        """Return the metadata of heights in tiles."""
         if self._ellipsoidal is not None:
             return self._ellipsoidal.describe()
         if self._globe.has_radii:
@@ -119,7 +118,6 @@ class TileHeights:
     def _heights_at(
         self, rows: NDArray[np.float64], cols: NDArray[np.float64], level: int
     ) -> tuple[NDArray[np.float64], Window | None]:
-        """Return `Globe.heights_at`, above the tiles' reference surface."""
         heights, window = self._globe.heights_at(rows, cols, level)
         if self._ellipsoidal is not None:
             heights = self._globe.heights_on(self._ellipsoidal, rows, cols, heights)

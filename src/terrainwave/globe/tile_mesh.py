@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.export.curvature import GlobeWay, curvature
-from terrainwave.export.quantized_mesh import STEPS, tile_bytes
+from terrainwave.export.quantized_mesh import STEPS, in_order_of_use, tile_bytes
 from terrainwave.globe.tile_heights import UNIT, TileHeights, TileSamples
 from terrainwave.globe.tile_scheme import TileScheme
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
@@ -28,26 +28,16 @@ _SMALLEST_STEP = 1.0 / (1 << FRACTION_BITS)
 
 
 class TileMesh(NamedTuple):
-    """A tile and its errors.
+    """A tile and its errors."""
 
-    Parameters
-    ----------
-    data : bytes
-        The .terrain file.
-    n_vertices, n_triangles : int
-    surface_error : float or None
-        Metres. No sample of the level read, and no bilinear height at the tile's cells, is further
-        from the tile's surface; on the finest zoom no sample of the full grid. It includes the
-        globe's curvature between vertices. None if no triangle has valid heights at all its
-        corners.
-    error : float or None
-        The same, plus the distance of originals from the level's bilinear surface.
-    """
-
-    data: bytes
+    data: bytes  # the .terrain file
     n_vertices: int
     n_triangles: int
+    # metres. No sample of the level read, and no bilinear height at the tile's cells, is further
+    # from the tile's surface; on the finest zoom no sample of the full grid. It includes the
+    # globe's curvature between vertices. None if no triangle has valid heights at all its corners.
     surface_error: float | None
+    # the same, plus the distance of originals from the level's bilinear surface
     error: float | None
 
 
@@ -106,7 +96,8 @@ class TileMesher:
             mesh = self._with_samples(mesh, is_valid, *found, self._heights.edge_tolerance(zoom))
             n_more = len(mesh.rows) - len(is_valid)
             is_valid = np.concatenate([is_valid, np.ones(n_more, dtype=np.bool_)])
-        mesh, order = _in_order_of_use(mesh)
+        order, turned = in_order_of_use(mesh.triangles[:, ::-1])
+        mesh = BlockMesh(mesh.rows[order], mesh.cols[order], mesh.heights[order], turned[:, ::-1])
         is_valid = is_valid[order]
         size = 180 / (1 << zoom)
         west, south = -180 + x * size, -90 + y * size
@@ -139,10 +130,9 @@ class TileMesher:
         }
         if zoom == 0:
             about["available"] = self._scheme.availability(1)
-        triangles = mesh.triangles[:, ::-1].astype(np.int64)
         ellipsoid = self._scheme.globe.ellipsoid
-        data = tile_bytes(points, quantized, triangles, heights, ellipsoid, about)
-        return TileMesh(data, len(points), len(triangles), surface_error, error)
+        data = tile_bytes(points, quantized, turned, heights, ellipsoid, about)
+        return TileMesh(data, len(points), len(turned), surface_error, error)
 
     def _height_steps(self, mesh: BlockMesh, zoom: int) -> tuple[int, float]:
         """Return the lowest height and the step of a tile's heights, in units.
@@ -270,15 +260,3 @@ def _without(mesh: BlockMesh, is_hole: NDArray[np.bool_]) -> BlockMesh:
     """Return a mesh without the triangles of holes; if none is left, with one of zero size."""
     kept = mesh.triangles[_all_of(~is_hole, mesh.triangles)]
     return mesh._replace(triangles=kept if len(kept) else np.zeros((1, 3), dtype=np.int32))
-
-
-def _in_order_of_use(mesh: BlockMesh) -> tuple[BlockMesh, NDArray[np.int32]]:
-    """Return a mesh with triangles turned over and vertices in order of first use; that order."""
-    turned = mesh.triangles[:, ::-1]
-    used, first, places = np.unique(turned.ravel(), return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int32)
-    rank[order] = np.arange(len(order), dtype=np.int32)
-    triangles = rank[places.reshape(-1, 3)][:, ::-1]
-    at = used[order].astype(np.int32)
-    return BlockMesh(mesh.rows[at], mesh.cols[at], mesh.heights[at], triangles), at

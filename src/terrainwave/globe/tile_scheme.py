@@ -1,9 +1,12 @@
 """Tiles of a globe: which exist, where they lie, and Cesium's assumptions about their errors."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +32,6 @@ class TileRange:
     last_y: int
 
     def contains(self, x: int, y: int) -> bool:
-        """Return whether a tile is among them."""
         return self.first_x <= x <= self.last_x and self.first_y <= y <= self.last_y
 
     @property
@@ -37,7 +39,6 @@ class TileRange:
         return (self.last_x - self.first_x + 1) * (self.last_y - self.first_y + 1)
 
     def tiles(self) -> Iterator[tuple[int, int]]:
-        """Yield (x, y) of all of them, row by row."""
         for y in range(self.first_y, self.last_y + 1):
             for x in range(self.first_x, self.last_x + 1):
                 yield x, y
@@ -93,7 +94,6 @@ class TileScheme:
         return zoom
 
     def is_finest(self, zoom: int) -> bool:
-        """Return whether a zoom is the one whose cells are no larger than the raster's pixels."""
         return zoom == self._finest
 
     def geometric_error(self, zoom: int) -> float:
@@ -173,3 +173,12 @@ def _tile_at(place: float, n_tiles: int, *, ends: bool = False) -> int:
     """Return the tile at a position counted in tiles; on a border one of the two."""
     number = math.ceil(place - 1e-9) - 1 if ends else math.floor(place + 1e-9)
     return min(max(number, 0), n_tiles - 1)
+
+
+def in_order(
+    executor: ThreadPoolExecutor, work: Callable[[Any], Any], items: Iterable[Any], n_ahead: int
+) -> Iterator[tuple[Any, Any]]:
+    """Yield items and the results of `work`, in order; at most `n_ahead` of them wait at a time."""
+    left = iter(items)
+    while batch := list(islice(left, n_ahead)):
+        yield from zip(batch, executor.map(work, batch), strict=True)

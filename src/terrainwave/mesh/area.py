@@ -155,7 +155,6 @@ class _Extractor(Generic[Made]):
         self._quantum = terrain.header.quantum * scale  # physical height of one quantum
 
     def mesh(self, max_error: float | None) -> Made:
-        """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
         self._goal = self._asked(max_error)

@@ -13,7 +13,6 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
@@ -23,14 +22,14 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.shares import shares_of
-from terrainwave.mesh.coefficients import BlockCoefficients
-from terrainwave.mesh.trees import ZeroTrees
+from terrainwave.mesh.trees import BlockCoefficients, ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
-from terrainwave.tri.stored_kinds import STORED_KINDS, has_triangles
+from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, StoredSamples, has_triangles
+from terrainwave.tri.zerotree.agreement import BorderVertices
 from terrainwave.tri.zerotree.labels import Trees
 
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
@@ -65,20 +64,6 @@ class BlockSamples(NamedTuple):
     locked: Mask
 
 
-class StoredSamples(NamedTuple):
-    """Input of a stored mesh: `BlockSamples`, and more for some kinds.
-
-    `trees` are the zero trees of the group that refines the block, `coefficients` the magnitudes of
-    wavelet coefficients at its samples, in quanta.
-    """
-
-    heights: Heights
-    mask: Mask
-    locked: Mask
-    trees: Trees | None
-    coefficients: NDArray[np.int64] | None = None
-
-
 class SideTolerances(NamedTuple):
     """Tolerances of a block's border lines, in 1/16 quanta."""
 
@@ -89,37 +74,23 @@ class SideTolerances(NamedTuple):
 
 
 class BlockMesher:
-    """The stored mesh of any block of a file.
-
-    Parameters
-    ----------
-    error_code : callable
-        The index's error code of a block.
-    tolerance : int
-        Tolerance on the finest level, in 1/16 quanta.
-    has_voids : bool
-        True if the raster may have voids; neighbours are then decoded for their masks.
-    kind : str
-        ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`.
-    part : callable, optional
-        Returns the stored bytes of a block's mesh; needed for kinds other than halves.
-    trees : callable, optional
-        Returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any.
-    coefficients : callable, optional
-        Returns the coefficients that they follow (`mesh.coefficients.coefficient_source`), if any.
-    """
+    """The stored mesh of any block of a file."""
 
     def __init__(
         self,
         grid: Grid,
         decoder: LevelSamples,
-        error_code: ErrorCode,
-        tolerance: int,
+        error_code: ErrorCode,  # the index's error code of a block
+        tolerance: int,  # tolerance on the finest level, in 1/16 quanta
         *,
+        # True if the raster may have voids; neighbours are then decoded for their masks
         has_voids: bool,
-        kind: str = "halves",
+        kind: str = "halves",  # ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`
+        # returns the stored bytes of a block's mesh; needed for kinds other than halves
         part: Callable[[Block], bytes] | None = None,
+        # returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any
         trees: ZeroTrees | None = None,
+        # returns the coefficients that they follow (`mesh.trees.coefficient_source`), if any
         coefficients: BlockCoefficients | None = None,
     ) -> None:
         self._grid = grid
@@ -306,6 +277,16 @@ class BlockMesher:
             return STORED_KINDS[self.kind].alone(StoredSamples(*samples, None), tolerance)
         sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
         return triangulate(*samples, border_lines(samples, sides, self._grid.block), tolerance)
+
+    def draft(self, block: Block, demanded: BorderVertices | None) -> Draft:
+        """Return the draft of a block's stored mesh, with at least the demanded vertices."""
+        samples = self.stored_samples(block)
+        return STORED_KINDS[self.kind].draft(samples, self.tolerance(block), demanded)
+
+    def encode(self, block: Block, draft: Draft) -> bytes:
+        """Return the bytes of a draft in agreement with its level."""
+        samples = self.stored_samples(block)
+        return STORED_KINDS[self.kind].encode(samples, self.tolerance(block), draft)
 
     def _stored_mesh(self, block: Block, samples: StoredSamples) -> BlockMesh:
         if self._part is None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher
-from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, has_triangles
+from terrainwave.tri.stored_kinds import has_triangles
 from terrainwave.tri.zerotree import agreement
 from terrainwave.tri.zerotree.agreement import BorderVertices
 
@@ -43,7 +43,6 @@ class BorderState(NamedTuple):
         }
 
     def updated(self, newer: "BorderState") -> "BorderState":
-        """Return this state with newer drafts of some blocks."""
         return BorderState(self.borders | newer.borders, self.demanded | newer.demanded)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
@@ -83,7 +82,7 @@ def draft_blocks(mesher: BlockMesher, demands: Demands) -> BorderState:
     state = BorderState({}, {})
     for block, demanded in demands.items():
         if has_triangles(mesher.samples(block).mask):
-            state.borders[block] = _draft(mesher, block, demanded).border
+            state.borders[block] = mesher.draft(block, demanded).border
             if demanded is not None:
                 state.demanded[block] = demanded
     return state
@@ -91,17 +90,7 @@ def draft_blocks(mesher: BlockMesher, demands: Demands) -> BorderState:
 
 def encode_parts(mesher: BlockMesher, state: BorderState) -> dict[Block, bytes]:
     """Return the bytes of the meshes of a state's blocks, once all agree."""
-    kind = STORED_KINDS[mesher.kind]
     return {
-        block: kind.encode(
-            mesher.stored_samples(block),
-            mesher.tolerance(block),
-            _draft(mesher, block, state.demanded.get(block)),
-        )
+        block: mesher.encode(block, mesher.draft(block, state.demanded.get(block)))
         for block in state.borders
     }
-
-
-def _draft(mesher: BlockMesher, block: Block, demanded: BorderVertices | None) -> Draft:
-    kind = STORED_KINDS[mesher.kind]
-    return kind.draft(mesher.stored_samples(block), mesher.tolerance(block), demanded)

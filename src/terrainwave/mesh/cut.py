@@ -42,7 +42,6 @@ class Area(NamedTuple):
 
     @property
     def is_finest(self) -> bool:
-        """Return whether the area is one of the full grid."""
         return self.level == self.grid.k_max
 
     def limits(self) -> tuple[int, int, int, int]:
@@ -200,23 +199,17 @@ class Cut:
 
 
 class ErrorCut(Cut):
-    """The blocks to mesh for an error in quanta.
-
-    Parameters
-    ----------
-    samples_of : callable
-        Returns the samples of a block: levels do not meet where they are void.
-    are_nested : bool
-        Coarse samples are samples of finer levels, too, as adjacent meshes of both need.
-    """
+    """The blocks to mesh for an error in quanta."""
 
     def __init__(
         self,
         area: Area,
         errors: Errors,
         error: Fraction,
+        # returns the samples of a block: levels do not meet where they are void
         samples_of: Callable[[Block], BlockSamples],
         *,
+        # coarse samples are samples of finer levels, too, as adjacent meshes of both need
         are_nested: bool,
     ) -> None:
         super().__init__(area, {})
@@ -228,14 +221,12 @@ class ErrorCut(Cut):
         self._close()
 
     def refine(self, failed: list[Block]) -> None:
-        """Replace blocks by finer ones."""
         for block in failed:
             if block in self.pieces:
                 self._split(block)
         self._close()
 
     def _add(self, block: Block) -> list[Block]:
-        """Add a block, or those below it; return the added ones."""
         if block.level == self._area.level or self._is_usable(block):
             self.pieces[block] = self._errors.piece(block, self._error)
             return [block]

@@ -103,7 +103,6 @@ class BlockFitter:
     def _triangulated(
         self, block: Block, samples: BlockSamples, lines: Lines, tolerance: int
     ) -> BlockMesh:
-        """Return the mesh of a block's samples, with fewer triangles if sweeps are requested."""
         mesh = triangulate(*samples, lines, tolerance)
         sweeps = self._area.sweeps if block.level == self._grid.k_max else 0
         if not samples.mask.all():

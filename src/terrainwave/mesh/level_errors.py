@@ -19,17 +19,10 @@ from terrainwave.tri.block_mesh import FRACTION_BITS
 
 
 class LevelErrors(NamedTuple):
-    """The largest error of each level in physical units, the coarsest level first.
+    """The largest error of each level in physical units, the coarsest level first."""
 
-    Parameters
-    ----------
-    heights : list of float
-        Of the bilinear surfaces of blocks.
-    meshes : list of float, optional
-        Of their meshes, by equation (3). None if the file has no meshes with a tolerance.
-    """
-
-    heights: list[float]
+    heights: list[float]  # of the bilinear surfaces of blocks
+    # of their meshes, by equation (3). None if the file has no meshes with a tolerance.
     meshes: list[float] | None = None
 
 

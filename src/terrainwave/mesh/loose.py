@@ -29,14 +29,10 @@ class LooseMesher:
     n_steps : int
         How often the threshold of significant details of decoded layers is multiplied by three
         quarters.
-
-    Attributes
-    ----------
-    has_threshold : bool
-        Trees follow a threshold; else the file has coded them.
     """
 
     def __init__(self, file: TerrainFile, n_steps: int = 0) -> None:
+        # trees follow a threshold; else the file has coded them
         self.has_threshold = file.header.mesh != "zerotree-coded"
         of_layers, coded = layer_source(file.decoder), coded_source(file.decoder)
 

@@ -14,20 +14,12 @@ CURVATURE_SHARE = 1 / 16
 
 
 class CurvatureShare(NamedTuple):
-    """Error in the file's unit that the curvature of a globe may add to a mesh on it.
+    """Error in the file's unit that the curvature of a globe may add to a mesh on it."""
 
-    Parameters
-    ----------
-    error : float
-        0: as small as possible without dividing cells.
-    cell : ndarray of float64, shape (2, 3), optional
-        Two opposite corners of a cell in the middle of the raster, at height 0.
-    max_triangles : int, optional
-        The curvature adds as little as this number of triangles allows, down to `error`.
-    """
-
-    error: float
+    error: float  # 0: as small as possible without dividing cells
+    # shape (2, 3); two opposite corners of a cell in the middle of the raster, at height 0
     cell: NDArray[np.float64] | None = None
+    # the curvature adds as little as this number of triangles allows, down to `error`
     max_triangles: int | None = None
 
 
@@ -57,12 +49,10 @@ class MeshData:
 
     @property
     def n_vertices(self) -> int:
-        """Return the number of vertices."""
         return len(self.vertices)
 
     @property
     def n_triangles(self) -> int:
-        """Return the number of triangles."""
         return len(self.triangles)
 
     @property

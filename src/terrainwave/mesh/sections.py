@@ -9,8 +9,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import BlockMesher, LevelSamples
-from terrainwave.mesh.coefficients import coefficient_source
-from terrainwave.mesh.trees import ZeroTrees, tree_source
+from terrainwave.mesh.trees import ZeroTrees, coefficient_source, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.stored_kinds import STORED_KINDS, Draft
 from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree
@@ -68,21 +67,13 @@ def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[
 
 def make_sections(
     grid: Grid,
-    mesher: BlockMesher,
+    mesher: BlockMesher,  # for samples, tolerances and the kind of meshes
     executor: Executor,
+    # called now and then with the number of full-grid samples that have a mesh
     on_samples: Callable[[int], None],
-    levels: Iterable[int] | None = None,
+    levels: Iterable[int] | None = None,  # levels of blocks to mesh; all by default
 ) -> dict[Block, bytes]:
     """Return the mesh sections of all keys that have one.
-
-    Parameters
-    ----------
-    mesher : BlockMesher
-        For samples, tolerances and the kind of meshes.
-    on_samples : callable
-        Called now and then with the number of full-grid samples that have a mesh.
-    levels : iterable of int, optional
-        Levels of blocks to mesh; all by default.
 
     Notes
     -----
@@ -148,15 +139,9 @@ def _level_parts(
     on_samples: Callable[[int], None],
 ) -> dict[Block, bytes]:
     """Return the bytes of the meshes of one level."""
-    kind = STORED_KINDS[mesher.kind]
 
     def draft(position: Position, demanded: BorderVertices | None) -> Draft:
-        block = Block(level, *position)
-        return kind.draft(mesher.stored_samples(block), mesher.tolerance(block), demanded)
-
-    def encode(position: Position) -> bytes:
-        block = Block(level, *position)
-        return kind.encode(mesher.stored_samples(block), mesher.tolerance(block), drafts[position])
+        return mesher.draft(Block(level, *position), demanded)
 
     blocks = grid.blocks(level)
     is_meshed = executor.map(mesher.has_mesh, blocks)
@@ -166,9 +151,11 @@ def _level_parts(
         if has_mesh
     ]
     drafts, _ = agree(positions, draft, lambda drafted: drafted.border, executor.map)
+    meshed = [Block(level, *position) for position in drafts]
     parts = {}
-    for position, part in zip(positions, executor.map(encode, positions), strict=True):
-        block = Block(level, *position)
+    for block, part in zip(
+        meshed, executor.map(mesher.encode, meshed, drafts.values()), strict=True
+    ):
         parts[block] = part
         if level == grid.k_max:
             region = grid.block_region(block)

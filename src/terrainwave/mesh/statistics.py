@@ -10,29 +10,17 @@ from terrainwave.mesh.sections import mesher_of, parts_of_blocks
 
 
 class MeshLevel(NamedTuple):
-    """The meshes of the blocks of a level.
+    """The meshes of the blocks of a level."""
 
-    Parameters
-    ----------
-    level : int
-        Counted from the coarsest, 0.
-    n_triangles : int
-        Of the stored meshes.
-    label_bits : float
-        Stored bits of the meshes per sample of the level (Yusov & Turlapov 2010, tables 1 and 2); 0
-        for kinds computed from heights.
-    significant : float, optional
-        Share of the finest nodes of the trees with a significant coefficient. This and the next are
-        None for meshes without zero trees, and on the finest level.
-    n_loose : int, optional
-        Triangles of the blocks' non-guaranteed meshes, each block by itself.
-    """
-
-    level: int
-    n_triangles: int
+    level: int  # counted from the coarsest, 0
+    n_triangles: int  # of the stored meshes
+    # stored bits of the meshes per sample of the level (Yusov & Turlapov 2010, tables 1 and 2); 0
+    # for kinds computed from heights
     label_bits: float
+    # share of the finest nodes of the trees with a significant coefficient. This and the next are
+    # None for meshes without zero trees, and on the finest level.
     significant: float | None
-    n_loose: int | None
+    n_loose: int | None  # triangles of the blocks' non-guaranteed meshes, each block by itself
 
 
 def mesh_levels(terrain: TerrainFile) -> list[MeshLevel]:

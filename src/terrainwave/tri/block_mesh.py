@@ -10,27 +10,18 @@ FRACTION_BITS = 4
 
 
 class BlockMesh(NamedTuple):
-    """Triangles over a rectangle of samples of one level, a height field that covers it once.
+    """Triangles over a rectangle of samples of one level, a height field that covers it once."""
 
-    Parameters
-    ----------
-    rows, cols : ndarray of int32, shape (n_vertices,)
-        Positions in half samples from the rectangle's first sample: vertices lie on samples (even)
-        or between two (odd).
-    heights : ndarray of int64, shape (n_vertices,)
-        In 1/16 quanta.
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Indices of vertices; clockwise with columns to the right and rows downwards, so that the
-        area ``(c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)`` is positive.
-    """
-
+    # shape (n_vertices,); positions in half samples from the rectangle's first sample: vertices lie
+    # on samples (even) or between two (odd)
     rows: NDArray[np.int32]
     cols: NDArray[np.int32]
-    heights: NDArray[np.int64]
+    heights: NDArray[np.int64]  # shape (n_vertices,); in 1/16 quanta
+    # shape (n_triangles, 3); indices of vertices; clockwise with columns to the right and rows
+    # downwards, so that the area ``(c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)`` is positive
     triangles: NDArray[np.int32]
 
 
 def no_mesh() -> BlockMesh:
-    """Return a mesh without triangles."""
     places = np.empty(0, dtype=np.int32)
     return BlockMesh(places, places, np.empty(0, dtype=np.int64), np.empty((0, 3), dtype=np.int32))

@@ -1,11 +1,15 @@
-"""Input and output of meshes that follow a camera; the factor of τ that keeps to a budget."""
+"""Meshes that follow a camera, their input and output; the factor of τ that keeps to a budget."""
 
-from typing import NamedTuple
+from abc import ABC, abstractmethod
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.scratch import Scratch
+
+Frame = TypeVar("Frame")
 
 # No open sides, where the raster continues beyond its samples: top, left, bottom, right.
 CLOSED = False, False, False, False
@@ -17,87 +21,33 @@ _LARGEST = 1e6
 
 
 class Eye(NamedTuple):
-    """Camera: the input of errors on screen.
+    """Camera: the input of errors on screen."""
 
-    Parameters
-    ----------
-    position : ndarray of float64, shape (3,)
-        In the units of the mesh.
-    forward : ndarray of float64, shape (3,)
-        Unit vector along the axis of the view.
-    planes : ndarray of float64, shape (n_planes, 4)
-        Inward planes of the view: n·p + w >= 0 inside. Without planes everything is in view.
-    focal : float
-        Focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
-        the tangent of half its angle.
-    slant : float
-        Largest distance / depth in view, that of the picture's corners.
-    z_scale : float
-        Factor of heights.
-    """
-
-    position: NDArray[np.float64]
-    forward: NDArray[np.float64]
+    position: NDArray[np.float64]  # shape (3,); in the units of the mesh
+    forward: NDArray[np.float64]  # shape (3,); unit vector along the axis of the view
+    # shape (n_planes, 4); inward planes of the view: n·p + w >= 0 inside. Without planes everything
+    # is in view.
     planes: NDArray[np.float64]
+    # focal length in pixels, the paper's f = d_near s / r_near: half the picture's diagonal over
+    # the tangent of half its angle
     focal: float
-    slant: float
-    z_scale: float = 1.0
+    slant: float  # largest distance / depth in view, that of the picture's corners
+    z_scale: float = 1.0  # factor of heights
 
 
 class Followed(NamedTuple):
-    """Statistics after marks have followed a view.
+    """Statistics after marks have followed a view."""
 
-    Parameters
-    ----------
-    threshold : float
-        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
-    tau : float
-        Pixels; above the requested one if the budget requires it.
-    within : float
-        Error kept with measured errors, in pixels: τ, or more while steps lag behind.
-    n_vertices : int
-        Roots that are not void.
-    n_touched : int
-        Nodes visited by marking.
-    n_changed : int
-        Nodes that became a root or ceased to be one; 0 once marks are stable.
-    """
-
-    threshold: float
-    tau: float
-    within: float
-    n_vertices: int
-    n_touched: int
-    n_changed: int
-
-
-def check_update(tau: float, morph: float) -> None:
-    """Check the options of meshes that follow a camera.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If τ is not > 0 or λ is not >= 1.
-    """
-    if not tau > 0 or not morph >= 1:
-        raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
-
-
-def check_budget(max_vertices: int | None, least: int, what: str) -> None:
-    """Raise `InvalidHeightsError` for a budget below the least vertices, one per `what`."""
-    if max_vertices is not None and max_vertices < least:
-        raise InvalidHeightsError(
-            f"found max_vertices {max_vertices}, expected at least one per {what}: {least}"
-        )
+    threshold: float  # errors on screen below this were merged, pixels: τ, or τ / λ with a morph
+    tau: float  # pixels; above the requested one if the budget requires it
+    within: float  # error kept with measured errors, in pixels: τ, or more while steps lag behind
+    n_vertices: int  # roots that are not void
+    n_touched: int  # nodes visited by marking
+    n_changed: int  # nodes that became a root or ceased to be one; 0 once marks are stable
 
 
 class Pressure:
-    """Factor of τ, at least 1, that rises at once and falls slowly.
-
-    Attributes
-    ----------
-    factor : float
-    """
+    """Factor of τ, at least 1, that rises at once and falls slowly."""
 
     def __init__(self) -> None:
         self.factor = 1.0
@@ -112,3 +62,94 @@ class Pressure:
             return False
         self.factor *= _RISE
         return True
+
+
+# The numbers of touched and changed vertices, and the largest error on screen of those that need
+# further division, 0 without any.
+Marked = tuple[int, int, float]
+
+
+class FollowingMesh(ABC, Generic[Frame]):
+    """A mesh that follows a camera."""
+
+    _least_for: str  # what has one vertex in any view
+    _n_vertices = 0
+
+    def __init__(
+        self,
+        # (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f
+        sample_matrix: tuple[float, ...],
+        scratch: Scratch | None,  # memory that meshes drawn by one thread share
+    ) -> None:
+        self.matrix = tuple(float(value) for value in sample_matrix)
+        self.is_mirrored = self.matrix[0] * self.matrix[4] < self.matrix[1] * self.matrix[3]
+        self._scratch = scratch or Scratch()
+        self._pressure = Pressure()
+
+    @property
+    @abstractmethod
+    def least_vertices(self) -> int:
+        """Return the smallest number of vertices in a view."""
+
+    def follow(
+        self,
+        eye: Eye,
+        tau: float,
+        *,
+        morph: float = 1.0,
+        max_vertices: int | None = None,
+        is_stepwise: bool = False,
+    ) -> Followed:
+        """Go on to a view, which suffices if the GPU moves vertices itself.
+
+        Parameters
+        ----------
+        tau : float
+            Largest error on screen in pixels, > 0.
+        morph : float
+            λ >= 1: vertices move to where they merge while their errors are τ / λ … τ. 1: they
+            jump.
+        max_vertices : int, optional
+            Budget; τ is raised until it is kept. At least `least_vertices`. What is around the eye
+            is divided in any case.
+        is_stepwise : bool
+            Of a `DynamicMesh`: change by one height at most, as in the paper, except for the first
+            view and if the budget requires more; the mesh may lag behind the view.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range.
+        """
+        if not tau > 0 or not morph >= 1:
+            raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
+        if max_vertices is not None and max_vertices < self.least_vertices:
+            raise InvalidHeightsError(
+                f"found max_vertices {max_vertices}, expected at least one per {self._least_for}: "
+                f"{self.least_vertices}"
+            )
+        limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
+        pressure = self._pressure
+        pressure.relieve()
+        n_touched, n_changed, largest = self._mark(
+            eye, tau * pressure.factor / morph, limit, is_stepwise
+        )
+        while self._n_vertices > limit and pressure.rise():
+            *more, largest = self._mark(eye, tau * pressure.factor / morph, limit, False)
+            n_touched, n_changed = n_touched + more[0], n_changed + more[1]
+        used = tau * pressure.factor
+        return Followed(
+            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
+        )
+
+    @abstractmethod
+    def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:
+        """Go on to a view, to few more than `limit` vertices."""
+
+    @abstractmethod
+    def draw(self, eye: Eye, followed: Followed) -> Frame:
+        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
+
+    def update(self, eye: Eye, tau: float, **options: Any) -> Frame:
+        """Return the mesh for a view: `follow`, whose arguments these are, and `draw`."""
+        return self.draw(eye, self.follow(eye, tau, **options))

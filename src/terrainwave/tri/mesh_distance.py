@@ -17,23 +17,16 @@ _ON_EDGE = 1e-9
 
 
 def largest_deviation(
-    mesh: BlockMesh,
-    stride: int,
+    mesh: BlockMesh,  # its first sample lies on sample (0, 0) of the window's grid
+    stride: int,  # samples of the window's grid per sample of the mesh's level
+    # `heights, mask`: shape (n_rows, n_cols); quanta and validity of a window whose first sample is
+    # (`row`, `col`)
     heights: NDArray[np.int32],
     mask: NDArray[np.bool_],
     row: int,
     col: int,
 ) -> int:
     """Return the largest vertical distance of valid samples from a mesh, rounded up.
-
-    Parameters
-    ----------
-    mesh : BlockMesh
-        Its first sample lies on sample (0, 0) of the window's grid.
-    stride : int
-        Samples of the window's grid per sample of the mesh's level.
-    heights, mask : ndarray, shape (n_rows, n_cols)
-        Quanta and validity of a window whose first sample is (`row`, `col`).
 
     Returns
     -------
@@ -275,26 +268,15 @@ def _largest_along_edges(rows, cols, heights, triangles, samples, is_whole):
 
 
 def deviation_at_points(
-    mesh: BlockMesh,
-    is_counted: NDArray[np.bool_],
+    mesh: BlockMesh,  # its positions may be fractions of half samples
+    is_counted: NDArray[np.bool_],  # shape (n_triangles,); True for triangles to use
+    # `rows, cols, heights`: shape (n_points,); points in samples, 0 … side, and 1/16 quanta
     rows: NDArray[np.float64],
     cols: NDArray[np.float64],
     heights: NDArray[np.float64],
-    side: int,
+    side: int,  # cells of the mesh's square
 ) -> tuple[float, int]:
-    """Return the largest vertical distance of points from triangles, and the number on them.
-
-    Parameters
-    ----------
-    mesh : BlockMesh
-        Its positions may be fractions of half samples.
-    is_counted : ndarray of bool, shape (n_triangles,)
-        True for triangles to use.
-    rows, cols, heights : ndarray of float64, shape (n_points,)
-        Points in samples, 0 … side, and 1/16 quanta.
-    side : int
-        Cells of the mesh's square.
-    """
+    """Return the largest vertical distance of points from triangles, and the number on them."""
     # Points by cell, so that a triangle only tests points in its own cells.
     cell_rows = np.clip(np.floor(rows).astype(np.int64), 0, side - 1)
     cell_cols = np.clip(np.floor(cols).astype(np.int64), 0, side - 1)

@@ -13,7 +13,6 @@ class Scratch:
         self._arrays: dict[str, NDArray[Any]] = {}
 
     def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Return an array; it is uninitialised."""
         size = int(np.prod(shape))
         array = self._arrays.get(name)
         if array is None or array.size < size or array.dtype != dtype:

@@ -6,7 +6,7 @@ neighbours (`zerotree.agreement`), so each block's bytes hold what its own sampl
 """
 
 import zlib
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,28 +36,19 @@ _N_SPACINGS = 13
 _N_MODELS = 3 * _N_SPACINGS
 
 
-class Samples(Protocol):
-    """A block's samples; see `mesh.blocks.StoredSamples`."""
+class StoredSamples(NamedTuple):
+    """Samples of a block, and more for some kinds.
 
-    @property
-    def heights(self) -> NDArray[np.int32]:
-        """Heights in quanta."""
+    `locked` are void or next to a void, in the block or beyond its border. `trees` are the zero
+    trees of the group that refines the block, `coefficients` the magnitudes of wavelet coefficients
+    at its samples, in quanta.
+    """
 
-    @property
-    def mask(self) -> NDArray[np.bool_]:
-        """True for valid samples."""
-
-    @property
-    def locked(self) -> NDArray[np.bool_]:
-        """True for samples that are void or next to a void, in the block or beyond its border."""
-
-    @property
-    def coefficients(self) -> NDArray[np.int64] | None:
-        """Magnitudes of wavelet coefficients, in quanta, for kinds that follow them."""
-
-    @property
-    def trees(self) -> Trees | None:
-        """Zero trees of the group that refines the block, for kinds that have them."""
+    heights: NDArray[np.int32]
+    mask: NDArray[np.bool_]
+    locked: NDArray[np.bool_]
+    trees: Trees | None
+    coefficients: NDArray[np.int64] | None = None
 
 
 class Draft(NamedTuple):
@@ -65,28 +56,6 @@ class Draft(NamedTuple):
 
     border: BorderVertices
     packed: bytes
-
-
-class StoredKind(Protocol):
-    """Kind of mesh with stored bytes."""
-
-    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
-        """Return a triangulation with at least the demanded border vertices."""
-
-    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
-        """Return the bytes of a draft in agreement with its level."""
-
-    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
-        """Return the mesh of a block without demands of neighbours."""
-
-    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh written by `encode`.
-
-        Raises
-        ------
-        CorruptStreamError
-            If `data` are not such bytes.
-        """
 
 
 def has_triangles(mask: NDArray[np.bool_]) -> bool:
@@ -98,7 +67,7 @@ def has_triangles(mask: NDArray[np.bool_]) -> bool:
     return bool((counts >= 3).any())
 
 
-def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_]:
+def _kept(samples: StoredSamples, demanded: BorderVertices | None) -> NDArray[np.bool_]:
     if demanded is None:
         return samples.locked
     return samples.locked | demanded.keep(samples.mask.shape)
@@ -107,34 +76,34 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
 class StoredZerotree:
     """Algorithm I; the bytes are its refinement labels (`zerotree.refinement`).
 
-    With zero trees the mesh is nowhere coarser than they are, and labels hold the difference.
+    With zero trees the mesh is nowhere coarser than they are, and labels hold the difference. A
+    kind drafts a triangulation with at least the demanded border vertices, encodes the draft in
+    agreement with its level, and makes the mesh of these bytes, or one without neighbours.
     """
 
-    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
-        """Return the cut, packed."""
+    def draft(
+        self, samples: StoredSamples, tolerance: int, demanded: BorderVertices | None
+    ) -> Draft:
         keep = _kept(samples, demanded)
         cut = guaranteed_cut(samples.heights, samples.mask, tolerance, samples.trees, keep)
         return Draft(border_of_cut(cut), zlib.compress(cut.tobytes(), 1))
 
-    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
-        """Return the refinement labels."""
+    def encode(self, samples: StoredSamples, tolerance: int, draft: Draft) -> bytes:
         cut = np.frombuffer(zlib.decompress(draft.packed), dtype=np.uint8)
         cut = cut.reshape(samples.mask.shape)
         return encode_refinement(cut, samples.heights, samples.mask, tolerance, samples.trees)
 
-    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
-        """Return the mesh of Algorithm I."""
+    def alone(self, samples: StoredSamples, tolerance: int) -> BlockMesh:
         heights, mask, keep = samples.heights, samples.mask, samples.locked
         cut = guaranteed_cut(heights, mask, tolerance, samples.trees, keep)
         return mesh_of_cut(heights, mask, cut)
 
-    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh of refinement labels."""
+    def mesh(self, samples: StoredSamples, tolerance: int, data: bytes) -> BlockMesh:
         cut = decode_refinement(data, samples.heights, samples.mask, tolerance, samples.trees)
         return mesh_of_cut(samples.heights, samples.mask, cut)
 
 
-def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Selection:
+def _select(samples: StoredSamples, tolerance: int, keep: NDArray[np.bool_]) -> Selection:
     """Return a block's restricted quadtree, by coefficients if there are any."""
     return select_vertices(
         samples.heights, samples.mask, tolerance, keep=keep, coefficients=samples.coefficients
@@ -147,12 +116,14 @@ class StoredRqt:
     With coefficients these select vertices, and the tolerance is not a bound.
     """
 
-    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
+    def draft(
+        self, samples: StoredSamples, tolerance: int, demanded: BorderVertices | None
+    ) -> Draft:
         """Return the border vertices, which determine the rest."""
         selection = _select(samples, tolerance, _kept(samples, demanded))
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
-    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
+    def encode(self, samples: StoredSamples, tolerance: int, draft: Draft) -> bytes:
         """Return the border vertices beyond the block's own; perhaps empty."""
         own = self.draft(samples, tolerance, None).border
         shape = samples.mask.shape
@@ -164,12 +135,18 @@ class StoredRqt:
         _code_border(known, wanted, coder)
         return out[: finish_encoder(coder.state, out)].tobytes()
 
-    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+    def alone(self, samples: StoredSamples, tolerance: int) -> BlockMesh:
         """Return the mesh with the border vertices of the block itself."""
         return self.mesh(samples, tolerance, b"")
 
-    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh with the border vertices of the block itself and of `data`."""
+    def mesh(self, samples: StoredSamples, tolerance: int, data: bytes) -> BlockMesh:
+        """Return the mesh with the border vertices of the block itself and of `data`.
+
+        Raises
+        ------
+        CorruptStreamError
+            If `encode` does not write `data`.
+        """
         heights, mask = samples.heights, samples.mask
         selection = _select(samples, tolerance, samples.locked)
         if data:
@@ -184,7 +161,7 @@ class StoredRqt:
         return rqt_mesh(heights, mask, selection)
 
 
-STORED_KINDS: dict[str, StoredKind] = {
+STORED_KINDS: dict[str, StoredZerotree | StoredRqt] = {
     "zerotree-plain": StoredZerotree(),
     "zerotree-layer": StoredZerotree(),
     "zerotree-coded": StoredZerotree(),

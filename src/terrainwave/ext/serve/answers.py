@@ -15,13 +15,7 @@ from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.ext.serve.byte_range import asked_span, is_same
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
-from terrainwave.ext.serve.locations import (
-    BadLocationsError,
-    Locations,
-    fields_of,
-    locations_of,
-    read_body,
-)
+from terrainwave.ext.serve.locations import Locations, fields_of, locations_of, read_body
 from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
@@ -77,7 +71,6 @@ class Answers:
         self._look, self._sea_level, self._public_url = look, sea_level, public_url
 
     def router(self) -> APIRouter:
-        """Return the router of all addresses."""
         answers: dict[str, Callable[..., Any]] = {
             "/": self._page,
             "/terrains.json": self._terrains,
@@ -253,33 +246,18 @@ class Answers:
         interpolation: str | None = None,
     ) -> Response:
         layer = self._find(name)
-        if locations is None and not (lon is None and lat is None):
-            one = [{"latitude": lat, "longitude": lon}]
-            return await self._answered(layer, one, interpolation, height_at)
-        return await self._answered(layer, locations, interpolation)
+        is_one = locations is None and not (lon is None and lat is None)
+        asked = [{"latitude": lat, "longitude": lon}] if is_one else locations
+        places = locations_of(asked, interpolation)
+        found = await self._desk.do(height_at if is_one else heights_at, layer, places)
+        return JSONResponse(found)
 
     async def _heights_posted(self, request: Request, name: str) -> Response:
         layer = self._find(name)
         body = await read_body(request.stream())
-        try:
-            fields = fields_of(body, request.headers.get("content-type", ""))
-        except BadLocationsError as error:
-            return _refusal(error)
-        return await self._answered(layer, fields.get("locations"), fields.get("interpolation"))
-
-    async def _answered(
-        self,
-        layer: Layer,
-        asked: Any,
-        interpolation: Any,
-        answer: Callable[[Layer, Locations], dict[str, Any]] | None = None,
-    ) -> Response:
-        """Return the heights at the places that a request names."""
-        try:
-            places = locations_of(asked, interpolation)
-        except BadLocationsError as error:
-            return _refusal(error)
-        return JSONResponse(await self._desk.do(answer or heights_at, layer, places))
+        fields = fields_of(body, request.headers.get("content-type", ""))
+        places = locations_of(fields.get("locations"), fields.get("interpolation"))
+        return JSONResponse(await self._desk.do(heights_at, layer, places))
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
@@ -297,10 +275,6 @@ def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None
         raise HTTPException(
             404, f"found tile {x}/{y}, expected 0 … {n_columns - 1} / 0 … {n_rows - 1} at zoom {z}"
         )
-
-
-def _refusal(error: BadLocationsError) -> JSONResponse:
-    return JSONResponse({"status": "INVALID_REQUEST", "error": str(error)}, 400)
 
 
 def heights_at(layer: Layer, places: Locations) -> dict[str, Any]:

@@ -20,13 +20,13 @@ from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
 from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
+from terrainwave.ext.serve.locations import BadLocationsError
 from terrainwave.ext.serve.log import warn_once
 from terrainwave.ext.serve.proxies import Proxied, network_of
 from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.extras import with_extra
 from terrainwave.globe import terrain_rgb as tiling
-from terrainwave.globe.terrain_rgb import Look
 from terrainwave.place.vertical import note_as_is
 from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
@@ -95,7 +95,7 @@ def make_app(
     public = None if public_url is None else address_of(public_url)
     networks = [network_of(address) for address in proxy]
     allowed = [*LOCAL_HOSTS, *hosts, *([] if public is None else [public.host])]
-    look = Look(tiling.encoding_of(encoding).name, transparent_voids)
+    look = tiling.look_of(encoding=encoding, transparent_voids=transparent_voids)
     desk, reading = Desk(n_decoding), Desk(_N_READING)
     layers = open_layers(paths, radius, vertical) if paths else {}
     for layer in layers.values():
@@ -137,6 +137,10 @@ def make_app(
         # A path may have line feeds in it, as %0A.
         warn_once(in_one_line(f"{request.path_params.get('name')}: {error}"))
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
+
+    @app.exception_handler(BadLocationsError)
+    async def refused(_request: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"status": "INVALID_REQUEST", "error": str(error)}, 400)
 
     @app.exception_handler(Exception)
     async def broken(_request: Request, _error: Exception) -> JSONResponse:

@@ -18,7 +18,6 @@ class Span(NamedTuple):
 
     @property
     def headers(self) -> dict[str, str]:
-        """Return the headers that describe it."""
         headers = {"Accept-Ranges": "bytes", "Content-Length": str(self.stop - self.start)}
         if self.is_part:
             headers["Content-Range"] = f"bytes {self.start}-{self.stop - 1}/{self.size}"

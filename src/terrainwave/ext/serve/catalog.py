@@ -25,18 +25,12 @@ _N_TAGS, _LONGEST_TAG = 8, 400
 def describe(
     name: str,
     globe: Globe,
-    encoding: str = tiling.MAPBOX,
+    encoding: str = tiling.MAPBOX,  # of the terrain-RGB tiles that the page has
+    # {"auto", "none"}; height in metres below which the Earth's colours are the sea's, as in
+    # `ramp_colors`
     sea_level: float | str = AUTO,
 ) -> dict[str, Any]:
-    """Return a file's fields for the page; no path. Its tags may hold any text.
-
-    Parameters
-    ----------
-    encoding : str
-        Of the terrain-RGB tiles that the page has.
-    sea_level : {"auto", "none"} or float
-        Height in metres below which the Earth's colours are the sea's, as in `ramp_colors`.
-    """
+    """Return a file's fields for the page; no path. Its tags may hold any text."""
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
     sea = sea_level if is_earth and sea_level != NO_SEA else None

@@ -58,7 +58,6 @@ class Connection(H11Protocol):
     max_connections = MAX_CONNECTIONS
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a request."""
         super().connection_made(transport)
         self._n_taken = 0
         self._stage: Any = None
@@ -69,7 +68,6 @@ class Connection(H11Protocol):
             transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget it."""
         self._look.cancel()
         super().connection_lost(exc)
 
@@ -102,13 +100,7 @@ class Connection(H11Protocol):
 
 
 def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
-    """Return the server that answers with `app`, within the limits of this module.
-
-    Parameters
-    ----------
-    n_files : int
-        Files that are open while it runs.
-    """
+    """Return the server that answers with `app`; `n_files` files are open while it runs."""
     config = uvicorn.Config(
         app,
         # Not httptools, where that is installed: its protocol is another class.
@@ -130,7 +122,6 @@ class _Server(uvicorn.Server):
     """A server that also ends by signals that uvicorn does not handle, such as SIGHUP."""
 
     async def on_tick(self, counter: int) -> bool:
-        """Return True if the server shall end; called ten times a second."""
         return await super().on_tick(counter) or interrupts.is_requested()
 
 

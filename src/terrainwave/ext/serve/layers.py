@@ -160,7 +160,6 @@ class Shelf:
         return raster
 
     def find(self, name: str) -> Raster:
-        """Return a raster; `HTTPException` 404 for an unknown name."""
         return named(name, self._rasters)
 
     def __enter__(self) -> Self:

@@ -27,16 +27,9 @@ _EXPECTED = {
 
 
 class PublicUrl(NamedTuple):
-    """Address of the server as browsers see it, and the host in it without a port.
+    """Address of the server as browsers see it, and the host in it without a port."""
 
-    Parameters
-    ----------
-    address : str
-        Ends in a slash.
-    host : str
-    """
-
-    address: str
+    address: str  # ends in a slash
     host: str
 
 
@@ -99,7 +92,6 @@ class Proxied:
         self._trusted = (*_LOOPBACK, *proxies)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, as ASGI has it."""
         if scope["type"] == "http" and self._trusts(scope):
             forwarded = _forwarded(Headers(scope=scope))
             for name, value in forwarded.items():

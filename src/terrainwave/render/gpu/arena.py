@@ -26,7 +26,6 @@ class Arena:
         return None
 
     def give_back(self, start: int, size: int) -> None:
-        """Free a range that `take` returned."""
         if size == 0:
             return
         self.used -= size
@@ -40,7 +39,6 @@ class Arena:
             self._free.insert(place, (start, size))
 
     def grow(self, capacity: int) -> None:
-        """Add free items at the end."""
         added = capacity - self.capacity
         start, self.capacity = self.capacity, capacity
         self.used += added

@@ -1,6 +1,6 @@
 """A scene with its own framebuffer, for the window or for pictures without one."""
 
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,38 +78,30 @@ def _from_above(
     return matrix
 
 
-class Canvas:
-    """A scene with its own framebuffer, which the window shows and commands save.
+class _Drawn(NamedTuple):
+    view: View
+    depth_range: tuple[float, float]
+    frames: Frames
 
-    Parameters
-    ----------
-    size : tuple of int
-        Width and height in pixels.
-    mode : str
-        One of `terrainwave.render.modes.MODES`.
-    drape : str, optional
-        Path or URL of an orthophoto to drape over the terrain, as for `raster_io.drape.Photo`.
-    samples : int
-        Samples per pixel, for smooth edges; 0 none.
-    is_late : bool
-        Leave out parts that may take long to read: the block under the terrain until `set_solid`,
-        the orthophoto until the renderer's `set_drape`, and water until its `set_water`.
-    options
-        Of `Scene`.
-    """
+
+class Canvas:
+    """A scene with its own framebuffer, which the window shows and commands save."""
 
     def __init__(
         self,
         terrain: "TerrainFile",
-        size: tuple[int, int],
+        size: tuple[int, int],  # width and height in pixels
         *,
-        mode: str = "adaptive",
+        mode: str = "adaptive",  # one of `terrainwave.render.modes.MODES`
+        # path or URL of an orthophoto to drape over the terrain, as for `raster_io.drape.Photo`
         drape: str | None = None,
-        samples: int = 4,
+        samples: int = 4,  # samples per pixel, for smooth edges; 0 none
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
+        # leave out parts that may take long to read: the block under the terrain until `set_solid`,
+        # the orthophoto until the renderer's `set_drape`, and water until its `set_water`
         is_late: bool = False,
-        **options: Any,
+        **options: Any,  # of `Scene`
     ) -> None:
         mode_class(mode)  # raises for unknown ones, before anything is opened
         self._owns_context = context is None
@@ -133,8 +125,7 @@ class Canvas:
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
-        self._drawn: tuple[View, tuple[float, float]] | None = None
-        self._frames: Frames | None = None
+        self._drawn: _Drawn | None = None
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
             self.has_voids = solid is not None and solid.has_lids
@@ -148,7 +139,6 @@ class Canvas:
             raise
 
     def set_solid(self, solid: "Solid") -> None:
-        """Draw the block under the terrain from now on."""
         self.has_voids = solid.has_lids
         self.renderer.set_solid(solid)
 
@@ -158,7 +148,6 @@ class Canvas:
 
     @property
     def drape_texels_per_pixel(self) -> float:
-        """Return the texels of the whole orthophoto per pixel of the grid."""
         assert self.photo is not None
         width, _ = self.photo.size(*self._drape_limits)
         return width / self.photo.place[2]
@@ -173,11 +162,9 @@ class Canvas:
 
     @property
     def n_bytes(self) -> int:
-        """Return the bytes on the GPU of pieces and drape, used or not."""
         return self.store.n_bytes + self._drape_bytes
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Set the size of later pictures."""
         limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
         if not (1 <= min(size) and max(size) <= limit):
             raise InvalidArgumentError(
@@ -201,7 +188,6 @@ class Canvas:
         self.close()
 
     def close(self) -> None:
-        """Stop the workers and free the GPU's memory."""
         self.scene.close()
         if self.photo is not None:
             self.photo.close()
@@ -226,44 +212,42 @@ class Canvas:
         *,
         max_pixel_error: float = 1.0,
         settle: bool = True,
-        is_smooth: bool = True,
     ) -> Frames:
         """Draw a picture and leave it on the GPU, in `framebuffer`; return its frames.
 
-        `settle` waits until everything in view has been read. With `is_smooth`, a pixel has several
-        samples: its colour is their mean, and its depth is one of theirs or a mean, too.
+        `settle` waits until everything in view has been read. If a pixel has several samples, its
+        colour is their mean, and its depth is one of theirs or a mean, too.
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
         self.scene.has_horizon = self._has_horizon and not style.wireframe
-        target = self._target if is_smooth else self._resolved
-        target.use()
+        self._target.use()
         if self.scene.mode.is_partwise:
             frames = self._draw_parts(view, style)
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
-        self._drawn, self._frames = (view, self.renderer.depth_range(view, frames)), frames
-        if self._resolved is not target:
-            self.context.copy_framebuffer(self._resolved, target)
+        self._drawn = _Drawn(view, self.renderer.depth_range(view, frames), frames)
+        if self._resolved is not self._target:
+            self.context.copy_framebuffer(self._resolved, self._target)
         return frames
 
     @property
-    def camera(self) -> Camera:
-        """Return the camera of the last picture."""
+    def _last(self) -> _Drawn:
         if self._drawn is None:
             raise AssertionError("a picture has been drawn")
-        return self._drawn[0].camera
+        return self._drawn
+
+    @property
+    def camera(self) -> Camera:
+        return self._last.view.camera
 
     @property
     def kept_error(self) -> float:
         """Return the error bound of the last picture, as `Scene.kept_error`."""
-        if self._drawn is None or self._frames is None:
-            raise AssertionError("a picture has been drawn")
-        return self.scene.kept_error(self._drawn[0], self._frames)
+        return self.scene.kept_error(self._last.view, self._last.frames)
 
     @property
     def framebuffer(self) -> Any:
-        """Return the framebuffer with the last picture, one sample per pixel."""
         return self._resolved
 
     def picture(
@@ -315,9 +299,7 @@ class Canvas:
         whole picture; a part is its left and lower pixel, counted upwards, width and height. Waits
         for the GPU.
         """
-        if self._drawn is None:
-            raise AssertionError("a picture has been drawn")
-        view, (near, far) = self._drawn
+        view, (near, far), _ = self._last
         part = part or (0, 0, self.viewport.width, self.viewport.height)
         data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
         shown = np.flatnonzero(self._shows_terrain(part))
@@ -350,9 +332,7 @@ class Canvas:
         Local z, shape (2, n_rows, n_cols), NaN where nothing is drawn. The pieces of the picture
         are drawn once more, from above, with a pixel for each sample.
         """
-        if self._drawn is None or self._frames is None:
-            raise AssertionError("a picture has been drawn")
-        view, shape = self._drawn[0], (region.n_rows, region.n_cols)
+        (view, _, drawn), shape = self._last, region.shape
         low, high = (float(corner[2]) for corner in self.scene.frame.solid_box)
         low, high = low - (high - low), high + (high - low)  # surfaces may leave the box
         ends = [(high, low), (low, high)]
@@ -361,7 +341,7 @@ class Canvas:
             for target in targets:
                 target.clear(depth=1.0)
             is_partwise = self.scene.mode.is_partwise
-            for frames in self.scene.parts(view) if is_partwise else [self._frames]:
+            for frames in self.scene.parts(view) if is_partwise else [drawn]:
                 for target, (near, far) in zip(targets, ends, strict=True):
                     target.use()
                     matrix = _from_above(self.scene.frame, view.camera.eye, region, near, far)
@@ -384,7 +364,7 @@ class Canvas:
         """
         if self._drawn is None:
             return None
-        camera = self._drawn[0].camera
+        camera = self._drawn.view.camera
         middle = self.pick(self.viewport.width / 2, self.viewport.height / 2)
         if middle is None:
             middle = np.mean(self.scene.frame.box, axis=0)

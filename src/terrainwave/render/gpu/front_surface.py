@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import moderngl
 import numpy as np
 
-from terrainwave.render.gpu.shaders import SKIRT_DEPTH, TERRAIN_FRAGMENT
-from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.shaders import OUTPUTS
+from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
 from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
 from terrainwave.render.scene.selection import View
 
@@ -44,28 +44,22 @@ in vec3 in_place;           // relative to the eye
 in vec2 in_sample;          // column and row of the patch
 in vec2 in_grid;            // column and row of the full grid
 in vec4 in_about;           // layer, size, error; depth of a skirt's lower end, -1 of a surface
-uniform mat4 view_projection;
-out vec3 v_seen;
-out vec2 v_sample;
-flat out ivec2 v_layers;
-out vec2 v_grid;
-flat out vec4 v_parent;     // unused, unused, size, error
 out float gl_ClipDistance[4];
 CUT_OFF
-SKIRT_DEPTH
+OUTPUTS
 void main() {
     bool is_skirt = in_about.w >= 0.0;
     v_seen = in_place;
     v_below = is_skirt ? 1.0 : 0.0;
     v_seen.z -= is_skirt ? skirt_depth(in_place, in_about.w) : 0.0;
     v_sample = in_sample;
-    v_layers = ivec2(int(in_about.x), -1);
+    v_layer = in_about.x;
     v_grid = in_grid;
-    v_parent = vec4(0.0, 0.0, in_about.yz);
+    v_about = in_about.yz;
     gl_Position = view_projection * vec4(v_seen, 1.0);
     cut_off(0, in_grid);
 }
-""".replace("CUT_OFF", CUT_OFF).replace("SKIRT_DEPTH", SKIRT_DEPTH)
+""".replace("CUT_OFF", CUT_OFF).replace("OUTPUTS", OUTPUTS)
 
 
 class FrontStore:
@@ -81,23 +75,16 @@ class FrontStore:
         self._context, self._max_bytes = context, max_bytes
         self._layers: LayeredTextures | None = None
         self.layer_of: dict[int, int] = {}
-        self._max_blocks, self._room = 1, 0
+        self.max_blocks, self._room = 1, 0  # the first patch gives the size
         self.side = 0
 
     @property
-    def max_blocks(self) -> int:
-        """Return how many patches fit; one before the first patch, which gives the size."""
-        return self._max_blocks
-
-    @property
     def n_bytes(self) -> int:
-        """Return the bytes of all layers, used or not, and of other memory of patches."""
         layers = 0 if self._layers is None else self._layers.n_bytes
         return layers + self._room * len(self.layer_of)
 
     @property
     def slopes(self) -> Any:
-        """Return the array texture, which exists once a patch is stored."""
         if self._layers is None:
             raise AssertionError("a patch is here")
         return self._layers.textures[0]
@@ -106,7 +93,7 @@ class FrontStore:
         """Upload slopes; return False if there is no room."""
         if self._layers is None:
             self._allocate(built)
-        if self._layers is None or len(self.layer_of) == self._max_blocks:
+        if self._layers is None or len(self.layer_of) == self.max_blocks:
             return False
         layer = self._layers.take()
         if layer is None:
@@ -125,7 +112,7 @@ class FrontStore:
         self._layers = LayeredTextures(
             self._context, built.side + RING, [SLOPES], max_bytes=n_patches * layer
         )
-        self._max_blocks = self._layers.max_layers
+        self.max_blocks = self._layers.max_layers
 
     def drop(self, node: int) -> None:
         if self._layers is not None:
@@ -135,37 +122,18 @@ class FrontStore:
         release_all(self._layers)
 
 
-class FrontSurface:
-    """`Surface` of one mesh.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
-    """
+class FrontSurface(Surface):
+    """`Surface` of one mesh."""
 
     n_clip_distances = 4
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
-        self._context = context
-        self.store = FrontStore(context, max_bytes=max_bytes)
-        self.program = context.program(
-            vertex_shader=_VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
-        )
+        super().__init__(context, FrontStore(context, max_bytes=max_bytes), _VERTEX_SHADER)
         self._vertices = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
         self._triangles = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
         self._array: Any = None
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Upload and draw the mesh of the frame."""
-        n = self.prepare(scene, view, frames)
-        if not n:
-            return 0
-        self._array.render(moderngl.TRIANGLES, vertices=n)
-        return 1
-
-    def prepare(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Fill buffers, textures and uniforms; return the number of triangle corners."""
         mode: Any = scene.mode
         drawn = mode.drawn
         if drawn is None or not len(drawn.triangles):
@@ -185,13 +153,13 @@ class FrontSurface:
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
         set_uniforms(self.program, {"slopes": _SLOPES, "side": float(self.store.side)})
         self.store.slopes.use(_SLOPES)
-        return int(drawn.triangles.size)
+        self._array.render(moderngl.TRIANGLES, vertices=int(drawn.triangles.size))
+        return 1
 
     def _upload(self, vertices: bytes, triangles: bytes) -> None:
         """Fill the buffers; enlarge them if necessary."""
         if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
-            if self._array is not None:
-                self._array.release()
+            release_all(self._array)
             size = max(self._vertices.size, 2 * len(vertices), 2 * len(triangles))
             self._vertices.orphan(size)
             self._triangles.orphan(size)
@@ -206,5 +174,5 @@ class FrontSurface:
         self._vertices.write(vertices)
         self._triangles.write(triangles)
 
-    def release(self) -> None:
-        release_all(self._array, self._vertices, self._triangles, self.program, self.store)
+    def parts(self) -> list[Any]:
+        return [self._array, self._vertices, self._triangles]

@@ -1,6 +1,6 @@
 """Patches on the GPU: one vertex buffer, one index buffer, one array texture of slopes."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,23 @@ COMMAND = np.dtype(
 )
 
 
-class Slot(NamedTuple):
-    """Position of a patch in the buffers."""
+class _Buffer(Arena):
+    """Buffer of the GPU for `capacity` items."""
 
-    first_vertex: int
-    n_vertices: int
-    first_index: int
-    n_indices: int
-    layer: int
+    def __init__(self, context: Any, capacity: int, itemsize: int) -> None:
+        super().__init__(capacity)
+        self._context, self.itemsize = context, itemsize
+        self.buffer = context.buffer(reserve=capacity * itemsize)
+
+    @property
+    def n_bytes(self) -> int:
+        return self.capacity * self.itemsize
+
+    def grow(self, capacity: int) -> None:
+        old, self.buffer = self.buffer, self._context.buffer(reserve=capacity * self.itemsize)
+        self._context.copy_buffer(self.buffer, old)
+        old.release()
+        super().grow(capacity)
 
 
 class GpuStore:
@@ -44,47 +53,42 @@ class GpuStore:
     """
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
-        self._context = context
         # Samples of a block and one more on each side.
         self.layers = LayeredTextures(
             context, side + 3, [SLOPES], max_bytes=max_bytes // _TEXTURE_SHARE
         )
+        self.max_blocks = self.layers.max_layers
         self._mesh_bytes = max_bytes - self.layers.max_bytes
-        self._vertices = Arena(_FIRST_VERTICES)
-        self._indices = Arena(_FIRST_INDICES)
-        self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
-        self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
-        self.slots: dict[int, Slot] = {}
-        # First index, number of indices and layer by node, for whole frames at once.
-        self._places = np.zeros((256, 3), dtype=np.int64)
+        self._vertices = _Buffer(context, _FIRST_VERTICES, VERTEX.itemsize)
+        self._indices = _Buffer(context, _FIRST_INDICES, _INDEX_BYTES)
+        # First vertex, vertices, first index, indices and layer by node, for whole frames at once.
+        self._places = np.zeros((256, 5), dtype=np.int64)
         self.generation = 0  # counts replaced buffers: vertex arrays on old ones are stale
 
     @property
-    def max_blocks(self) -> int:
-        """Return how many patches fit at most."""
-        return self.layers.max_layers
-
-    @property
     def n_bytes(self) -> int:
-        """Return the bytes of all buffers and textures, used or not."""
-        meshes = self._vertices.capacity * VERTEX.itemsize + self._indices.capacity * _INDEX_BYTES
-        return meshes + self.layers.n_bytes
+        return self._vertices.n_bytes + self._indices.n_bytes + self.layers.n_bytes
 
     @property
-    def slopes(self) -> Any:
-        """Return the array texture of slopes."""
-        return self.layers.textures[0]
+    def vertex_buffer(self) -> Any:
+        return self._vertices.buffer
+
+    @property
+    def index_buffer(self) -> Any:
+        return self._indices.buffer
 
     def put(self, node: int, patch: Patch) -> bool:
         n_indices = patch.triangles.size
         if n_indices == 0:
-            self._place(node, Slot(0, 0, 0, 0, -1))
+            self._place(node, (0, 0, 0, 0, -1))
             return True
         layer = self.layers.take()
         if layer is None:
             return False
-        first_vertex = self._take("_vertices", len(patch.vertices))
-        first_index = None if first_vertex is None else self._take("_indices", n_indices)
+        first_vertex = self._take(self._vertices, self._indices, len(patch.vertices))
+        first_index = (
+            None if first_vertex is None else self._take(self._indices, self._vertices, n_indices)
+        )
         if first_vertex is None or first_index is None:
             self.layers.give_back(layer)
             if first_vertex is not None:
@@ -94,61 +98,43 @@ class GpuStore:
         indices = patch.triangles + np.uint32(first_vertex)
         self.index_buffer.write(indices, offset=first_index * _INDEX_BYTES)
         self.layers.write(layer, [patch.slopes])
-        self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
+        self._place(node, (first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
 
-    def _place(self, node: int, slot: Slot) -> None:
-        self.slots[node] = slot
+    def _place(self, node: int, place: tuple[int, int, int, int, int]) -> None:
         if node >= len(self._places):
-            self._places = np.resize(self._places, (2 * node + 2, 3))
-        self._places[node] = slot.first_index, slot.n_indices, slot.layer
+            self._places = np.resize(self._places, (2 * node + 2, 5))
+        self._places[node] = place
 
     def drop(self, node: int) -> None:
-        slot = self.slots.pop(node)
-        if slot.layer < 0:
+        first_vertex, n_vertices, first_index, n_indices, layer = self._places[node].tolist()
+        if layer < 0:
             return
-        self._vertices.give_back(slot.first_vertex, slot.n_vertices)
-        self._indices.give_back(slot.first_index, slot.n_indices)
-        self.layers.give_back(slot.layer)
+        self._vertices.give_back(first_vertex, n_vertices)
+        self._indices.give_back(first_index, n_indices)
+        self.layers.give_back(layer)
 
-    def _take(self, name: str, size: int) -> int | None:
-        arena: Arena = getattr(self, name)
-        start = arena.take(size)
-        while start is None:
-            itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
-            other = self._indices if name == "_vertices" else self._vertices
-            other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
+    def _take(self, part: _Buffer, other: _Buffer, size: int) -> int | None:
+        while (start := part.take(size)) is None:
             # Twice as much; the last time only the remaining memory.
-            most = (self._mesh_bytes - other.capacity * other_size) // itemsize
-            capacity = min(2 * arena.capacity, most)
-            if capacity < arena.capacity + size:
+            capacity = min(2 * part.capacity, (self._mesh_bytes - other.n_bytes) // part.itemsize)
+            if capacity < part.capacity + size:
                 return None
-            self._grow_buffer(
-                "vertex_buffer" if name == "_vertices" else "index_buffer", capacity * itemsize
-            )
-            arena.grow(capacity)
-            start = arena.take(size)
+            part.grow(capacity)
+            self.generation += 1
         return start
-
-    def _grow_buffer(self, name: str, n_bytes: int) -> None:
-        old = getattr(self, name)
-        new = self._context.buffer(reserve=n_bytes)
-        self._context.copy_buffer(new, old)
-        old.release()
-        setattr(self, name, new)
-        self.generation += 1
 
     def commands(self, nodes: NDArray[np.int32]) -> NDArray[np.void]:
         """Return the draw commands of nodes; command k draws instance k."""
         commands = np.zeros(len(nodes), dtype=COMMAND)
-        commands["first_index"], commands["count"] = self._places[nodes, 0], self._places[nodes, 1]
+        commands["first_index"], commands["count"] = self._places[nodes, 2], self._places[nodes, 3]
         commands["n_instances"] = 1
         commands["base_instance"] = np.arange(len(nodes))
         return commands
 
     def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 if it has no triangles."""
-        layers: NDArray[np.int64] = self._places[nodes, 2]
+        layers: NDArray[np.int64] = self._places[nodes, 4]
         return layers
 
     def release(self) -> None:

@@ -83,7 +83,6 @@ def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[n
 
 
 def shortened(line: str, most: int) -> str:
-    """Return a line of at most `most` letters."""
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
@@ -116,20 +115,12 @@ def draw_overlay(
 
 
 class Change(NamedTuple):
-    """An image and the rows in which it differs from the previous one.
+    """An image and the rows in which it differs from the previous one."""
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width, 4)
-    first_row, n_rows : int
-    data : bytes
-        Of these rows.
-    """
-
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # shape (height, width, 4)
     first_row: int
     n_rows: int
-    data: bytes
+    data: bytes  # of these rows
 
 
 def change_of(before: NDArray[np.uint8] | None, image: NDArray[np.uint8]) -> Change:
@@ -222,7 +213,6 @@ class Overlay:
         )
 
     def draw_line(self, points: NDArray[np.float64], camera: Camera, viewport: Viewport) -> None:
-        """Draw a line through local points, shape (n, 3), into the framebuffer in use."""
         corners = line_triangles(project(camera, viewport, points)[:, :2], viewport)
         if not len(corners):
             return
@@ -246,7 +236,6 @@ class Overlay:
             self._texture.write(change.data, (0, change.first_row, width, change.n_rows))
 
     def draw(self) -> None:
-        """Draw it into the framebuffer in use."""
         if self._texture is None:
             return
         self._context.enable_only(moderngl.BLEND)

@@ -77,33 +77,19 @@ class _WaterTexture:
 
 
 class Renderer:
-    """Draws frames of a scene into the framebuffer in use.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
-    surface : Surface
-        Draws the scene's pieces; released with the renderer.
-    drape : Drape, optional
-        Picture to drape over the terrain.
-    solid : Solid, optional
-        The block under it.
-    water : Water, optional
-        Where it shows water; by default everywhere at and below 0.
-    """
+    """Draws frames of a scene into the framebuffer in use."""
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
     def __init__(
         self,
-        context: Any,
+        context: Any,  # OpenGL 3.3 core or newer
         scene: Scene,
-        surface: Surface,
-        drape: Drape | None = None,
-        solid: Solid | None = None,
-        water: Water | None = None,
+        surface: Surface,  # draws the scene's pieces; released with the renderer
+        drape: Drape | None = None,  # picture to drape over the terrain
+        solid: Solid | None = None,  # the block under it
+        water: Water | None = None,  # where it shows water; by default everywhere at and below 0
     ) -> None:
         self._context = context
         self._scene = scene
@@ -127,17 +113,14 @@ class Renderer:
     # Persistent parts
 
     def set_drape(self, drape: Drape) -> None:
-        """Set the picture draped over the terrain."""
         self._drape.release()
         self._drape = _DrapeTexture(self._context, drape)
 
     def set_detail(self, drape: Drape) -> None:
-        """Set a finer part of the picture, drawn over it."""
         self._detail.release()
         self._detail = _DrapeTexture(self._context, drape)
 
     def set_water(self, water: Water) -> None:
-        """Set where water is shown."""
         self._found.release()
         self._found = _WaterTexture(self._context, water)
 
@@ -158,7 +141,6 @@ class Renderer:
         return self._ramp
 
     def palette(self, frames: Frames, style: Style) -> Palette:
-        """Return the colours of a frame."""
         if style.coloring == "slope":
             return slope_palette()
         if style.coloring == "error":
@@ -175,7 +157,6 @@ class Renderer:
         return absolute_palette(low, high, sea, frame.latitudes, water_from)
 
     def set_solid(self, solid: Solid) -> None:
-        """Set the block under the terrain."""
         release_all(self._solid)
         self._solid = SolidSurface(self._context, solid)
 
@@ -189,7 +170,6 @@ class Renderer:
             self._draw_sky(view, style)
 
     def draw(self, view: View, frames: Frames, style: Style) -> None:
-        """Draw one frame: the sky or the background, the terrain, the block under it."""
         self.clear(view, style)
         self.draw_terrain(view, frames, style)
         self.draw_solid(view, frames, style)
@@ -230,7 +210,6 @@ class Renderer:
             context.disable_direct(clip)
 
     def draw_solid(self, view: View, frames: Frames, style: Style) -> None:
-        """Draw walls, floor and lids into a picture that has its terrain."""
         if self._solid is not None and style.draws_solid:
             values = self._shared_uniforms(view, frames, style)
             self._solid.draw(self._scene.frame, view, values)

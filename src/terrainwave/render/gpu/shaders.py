@@ -1,25 +1,17 @@
 """GLSL 3.30 core. `INDIRECT` is defined if one call draws all patches."""
 
-# Row k of `instances` holds patch k in four texels:
-# (x, y, z of its first sample at z = 0, relative to the eye; share of the parent's surface)
-# (depth of skirts, slope layer, parent's slope layer or -1, samples of the full grid per sample)
-# (columns, rows of the full grid right of and below its first sample; column, row in the parent)
-# (level, error in metres, unused, unused)
-_INSTANCE = """
-#ifdef INDIRECT
-in int in_instance;
-#else
-uniform int in_instance;
-#endif
-uniform sampler2D instances;
-"""
-
 # Skirts reach as far below a surface as a neighbour's surface may be: within τ, and not below the
 # block under the terrain.
-SKIRT_DEPTH = """
+OUTPUTS = """
+uniform mat4 view_projection;
 uniform float skirt_reach;  // metres per metre of distance, where looked at from the side
 uniform float base;         // z of the base relative to the eye
+out vec3 v_seen;            // relative to the eye
+out vec2 v_sample;          // in samples of the piece's level
+out vec2 v_grid;            // column, row of the full grid
 out float v_below;          // 0 on the surface
+flat out float v_layer;     // of the slopes
+flat out vec2 v_about;      // level, error
 
 float skirt_depth(vec3 seen, float most) {
     float away = length(seen), beside = max(length(seen.xy), 1e-6);
@@ -27,50 +19,63 @@ float skirt_depth(vec3 seen, float most) {
 }
 """
 
+# Row k of `instances` holds block k in four texels:
+# (x, y, z of its corner at z = 0, relative to the eye; share of the parent's surface)
+# (depth of skirts, layer, level, samples of the full grid per sample)
+# (columns, rows of the full grid right of and below its corner; columns, rows left of and above)
+# (error in metres, unused, unused, unused)
+INSTANCE = (
+    OUTPUTS
+    + """
+uniform sampler2D instances;
+uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
+uniform float z_scale;
+
+vec4 of_instance(int k) {
+    return texelFetch(instances, ivec2(k, INSTANCE_NUMBER), 0);
+}
+
+// `heights`: of the block's own surface and of its parent's.
+void place_vertex(vec2 place, vec2 heights, bool is_skirt) {
+    vec4 a = of_instance(0), b = of_instance(1), c = of_instance(2);
+    vec2 full = place * b.w;
+    vec3 seen = a.xyz;
+    seen.x += full.x * sample_axes.x + full.y * sample_axes.y;
+    seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
+    seen.z += mix(heights.x, heights.y, a.w) * z_scale;
+    v_below = is_skirt ? 1.0 : 0.0;
+    seen.z -= is_skirt ? skirt_depth(seen, b.x) : 0.0;
+    v_seen = seen;
+    v_sample = place;
+    v_layer = b.y;
+    v_about = vec2(b.z, of_instance(3).x);
+    v_grid = c.zw + full;
+    gl_ClipDistance[0] = c.x - full.x;
+    gl_ClipDistance[1] = c.y - full.y;
+    gl_Position = view_projection * vec4(seen, 1.0);
+}
+"""
+)
+
 TERRAIN_VERTEX = (
     """
 #version 330 core
 //DEFINES
 in vec2 in_place;
 in vec2 in_heights;
-"""
-    + _INSTANCE
-    + SKIRT_DEPTH
-    + """
-uniform mat4 view_projection;
-uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
-uniform float z_scale;
-uniform float side;         // cells of a block
-uniform vec2 last;          // column, row of the full grid
-out vec3 v_seen;            // relative to the eye
-out vec2 v_sample;          // in samples of the block's level
-flat out ivec2 v_layers;
-out vec2 v_grid;            // column, row of the full grid
-flat out vec4 v_parent;     // offset in the parent's samples; level; error
+#ifdef INDIRECT
+in int in_instance;
+#else
+uniform int in_instance;
+#endif
 out float gl_ClipDistance[2];
+"""
+    + INSTANCE.replace("INSTANCE_NUMBER", "in_instance")
+    + """
 void main() {
-    vec4 a = texelFetch(instances, ivec2(0, in_instance), 0);
-    vec4 b = texelFetch(instances, ivec2(1, in_instance), 0);
-    vec4 c = texelFetch(instances, ivec2(2, in_instance), 0);
-    vec4 d = texelFetch(instances, ivec2(3, in_instance), 0);
     bool is_skirt = in_place.x >= 32768.0;
     vec2 place = vec2(is_skirt ? in_place.x - 32768.0 : in_place.x, in_place.y) * 0.5;
-    vec2 full = place * b.w;
-    float z = mix(in_heights.x, in_heights.y, a.w);
-    vec3 seen = a.xyz;
-    seen.x += full.x * sample_axes.x + full.y * sample_axes.y;
-    seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
-    seen.z += z * z_scale;
-    v_below = is_skirt ? 1.0 : 0.0;
-    seen.z -= is_skirt ? skirt_depth(seen, b.x) : 0.0;
-    v_seen = seen;
-    v_sample = place;
-    v_layers = ivec2(b.yz);
-    v_parent = vec4(c.zw, d.xy);
-    v_grid = last - c.xy + full;
-    gl_ClipDistance[0] = c.x - full.x;
-    gl_ClipDistance[1] = c.y - full.y;
-    gl_Position = view_projection * vec4(seen, 1.0);
+    place_vertex(place, in_heights, is_skirt);
 }
 """
 )
@@ -94,8 +99,8 @@ in vec3 v_seen;
 in vec2 v_sample;
 in vec2 v_grid;
 in float v_below;            // above 0 on skirts
-flat in ivec2 v_layers;
-flat in vec4 v_parent;
+flat in float v_layer;
+flat in vec2 v_about;         // level, error
 uniform sampler2DArray slopes;
 uniform sampler2D drape;
 uniform vec4 drape_place;   // first column and row it covers, 1 / columns, 1 / rows
@@ -125,7 +130,7 @@ vec3 wheel(float t) {
 }
 
 vec3 texel_at(vec2 beside) {
-    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), float(v_layers.x))).xyz;
+    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), v_layer)).xyz;
 }
 
 vec2 slope_at(vec2 beside) {
@@ -199,7 +204,7 @@ void main() {
     vec3 normal = normalize(vec3(-slope * z_scale, 1.0));
     float steep = 1.0 - normalize(vec3(-slope, 1.0)).z;
     vec3 base;
-    float value = coloring == 2 ? v_parent.w
+    float value = coloring == 2 ? v_about.y
         : coloring == 6 ? degrees(atan(length(slope)))
         : height_texels.x + height_texels.y * texel.z;
     bool is_sea = value <= ramp_range.y;
@@ -213,7 +218,7 @@ void main() {
     float colors = float(textureSize(ramp, 0).x) / 2.0;
     float column = (is_sea ? 0.5 : colors + 0.5) + t * (colors - 1.0);
     vec2 ramp_place = vec2(column / (2.0 * colors), northwards.x + northwards.y * v_seen.y);
-    if (coloring == 1) base = wheel(v_parent.z * 0.381966);
+    if (coloring == 1) base = wheel(v_about.x * 0.381966);
     else if (coloring == 4 || coloring == 5) base = vec3(0.82, 0.80, 0.76);
     else {
         base = texture(ramp, ramp_place).rgb;

@@ -24,7 +24,6 @@ _OF_FRONTS: dict[str, type[FrontSurface | VertexTextureSurface]] = {
 
 
 def surface_of(mode: str, context: Any, side: int, *, max_bytes: int) -> Surface:
-    """Return the surface of a mode, for blocks of `side` cells and `max_bytes` on the GPU."""
     if mode in _OF_BLOCKS:
         return _OF_BLOCKS[mode](context, side, max_bytes=max_bytes)
     return _OF_FRONTS[mode](context, max_bytes=max_bytes)

@@ -69,7 +69,6 @@ class LayeredTextures:
 
     @property
     def n_bytes(self) -> int:
-        """Return the bytes of all layers, used or not."""
         return self._free.capacity * self._layer_bytes
 
     def take(self) -> int | None:
@@ -80,7 +79,6 @@ class LayeredTextures:
         return layer
 
     def give_back(self, layer: int) -> None:
-        """Free a layer that `take` returned."""
         self._free.give_back(layer, 1)
 
     def write(self, layer: int, contents: Sequence[NDArray[Any]]) -> None:

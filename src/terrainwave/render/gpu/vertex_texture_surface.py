@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.front_surface import CUT_OFF, FrontStore
-from terrainwave.render.gpu.shaders import SKIRT_DEPTH, TERRAIN_FRAGMENT
-from terrainwave.render.gpu.surface import OWN_UNIT, release_all, set_uniforms
+from terrainwave.render.gpu.shaders import OUTPUTS
+from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
@@ -37,7 +37,6 @@ uniform sampler2D marks;        // level h - 1: 0 above roots
 uniform int top;
 uniform vec2 threshold;         // τ / λ, τ
 uniform vec4 level_axes;        // metres per sample of the level: x by col, x by row, y ...
-uniform mat4 view_projection;
 uniform float z_scale, eye_z, stride, base_error, reach, focal, slant;
 uniform float layer, skirt;     // of slopes; metres
 uniform vec2 first_grid;        // column and row of the full grid
@@ -45,14 +44,9 @@ uniform float first_size;       // log2 of the share of a sample
 uniform bool is_bound;
 uniform vec3 forward;
 uniform vec4 planes[5];
-out vec3 v_seen;
-out vec2 v_sample;
-flat out ivec2 v_layers;
-out vec2 v_grid;
-flat out vec4 v_parent;
 out float gl_ClipDistance[5];
 CUT_OFF
-SKIRT_DEPTH
+OUTPUTS
 
 vec2 across(vec2 place) {
     return in_tree.xy + vec2(dot(level_axes.xy, place), dot(level_axes.zw, place));
@@ -119,15 +113,15 @@ void main() {
     v_below = is_skirt ? 1.0 : 0.0;
     v_seen.z -= is_skirt ? skirt_depth(v_seen, skirt) : 0.0;
     v_sample = drawn.xy + vec2(first) - lead;
-    v_layers = ivec2(int(layer), -1);
+    v_layer = layer;
     v_grid = v_sample * stride + first_grid;
-    v_parent = vec4(0.0, 0.0, float(h) + first_size, base_error);
+    v_about = vec2(float(h) + first_size, base_error);
     // A triangle with a void corner shrinks to a point.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
     cut_off(1, v_grid);
     gl_Position = view_projection * vec4(v_seen, 1.0);
 }
-""".replace("CUT_OFF", CUT_OFF).replace("SKIRT_DEPTH", SKIRT_DEPTH)
+""".replace("CUT_OFF", CUT_OFF).replace("OUTPUTS", OUTPUTS)
 
 
 def tree_grid(side: int) -> Grid:
@@ -218,7 +212,6 @@ class TreeStore(FrontStore):
         self.trees: dict[int, TreeTextures] = {}
 
     def put(self, node: int, built: "FrontPatch") -> bool:
-        """Upload slopes and nodes."""
         if not super().put(node, built):
             return False
         if built.mesh is not None:
@@ -234,23 +227,13 @@ class TreeStore(FrontStore):
         release_all(*self.trees.values())
 
 
-class VertexTextureSurface:
-    """`Surface` of full grids.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
-    """
+class VertexTextureSurface(Surface):
+    """`Surface` of full grids."""
 
     n_clip_distances = 5
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
-        self._context = context
-        self.store = TreeStore(context, max_bytes=max_bytes)
-        self.program = context.program(
-            vertex_shader=VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
-        )
+        super().__init__(context, TreeStore(context, max_bytes=max_bytes), VERTEX_SHADER)
         self.trees = context.buffer(reserve=16)
         # Vertices, triangles and both together, of trees by their side and of skirts.
         self.grids: dict[Any, tuple[Any, ...]] = {}
@@ -335,9 +318,9 @@ class VertexTextureSurface:
             self.trees.orphan(content.nbytes)
         self.trees.write(content.tobytes())
 
-    def release(self) -> None:
+    def parts(self) -> list[Any]:
         grids = [part for parts in self.grids.values() for part in reversed(parts)]
-        release_all(*grids, self.trees, self.program, self.store)
+        return [*grids, self.trees]
 
 
 def _trees_in_view(tree: HaarTree, matrix: tuple[float, ...], eye: "Eye") -> NDArray[np.int64]:

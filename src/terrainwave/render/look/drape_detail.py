@@ -79,21 +79,14 @@ def place_of_square(
 
 
 class DrapeDetail:
-    """Reads the finer part as the camera moves. Used by one thread, which never waits.
-
-    Parameters
-    ----------
-    texels_per_pixel : float
-        Of the whole photo, in its texture.
-    show : callable
-        Called with each part that was read, in the thread that draws.
-    """
+    """Reads the finer part as the camera moves. Used by one thread, which never waits."""
 
     def __init__(
         self,
         photo: "Photo",
-        texels_per_pixel: float,
+        texels_per_pixel: float,  # of the whole photo, in its texture
         background: Background,
+        # called with each part that was read, in the thread that draws
         show: Callable[["Drape"], None],
     ) -> None:
         self._photo, self._coarse = photo, texels_per_pixel

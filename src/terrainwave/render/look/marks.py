@@ -28,25 +28,14 @@ def length_text(metres: float) -> str:
 
 
 class Legend(NamedTuple):
-    """Meaning of a picture's colours.
+    """Meaning of a picture's colours."""
 
-    Parameters
-    ----------
-    title : str
-        Their quantity, and its unit.
-    colors : ndarray of uint8, shape (n, 3)
-        From the bar's lower end to its upper one: from the lowest value to the highest; for depths
-        the other way round.
-    labels : list of (float, str)
-        Positions from 0 (lower end) to 1, and the values there.
-    has_voids : bool
-        Explain the hatch.
-    """
-
-    title: str
+    title: str  # their quantity, and its unit
+    # shape (n, 3); from the bar's lower end to its upper one: from the lowest value to the highest;
+    # for depths the other way round
     colors: NDArray[np.uint8]
-    labels: list[tuple[float, str]]
-    has_voids: bool
+    labels: list[tuple[float, str]]  # positions from 0 (lower end) to 1, and the values there
+    has_voids: bool  # explain the hatch
 
 
 def check_marks(size: tuple[int, int], style: Style, *, legend: bool, scale_bar: bool) -> None:
@@ -102,7 +91,6 @@ def legend_of(
 
 
 def pillow(module: str) -> Any:
-    """Return a module of Pillow, which draws text."""
     return need(f"PIL.{module}", extra="view", purpose="text in a picture")
 
 
@@ -114,7 +102,6 @@ class Ink:
         self.font = pillow("ImageFont").load_default(FONT_SIZE)
 
     def text(self, x: float, y: float, words: str) -> None:
-        """Write lines on a shade."""
         left, top, right, bottom = self.draw.multiline_textbbox((x, y), words, font=self.font)
         self.draw.rectangle((left - 6, top - 4, right + 6, bottom + 4), fill=SHADE)
         self.draw.multiline_text((x, y), words, font=self.font, fill=WHITE)

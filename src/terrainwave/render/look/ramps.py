@@ -121,21 +121,14 @@ def _mixed(stops: Sequence[tuple[float, int, int, int]], shares: NDArray[np.floa
 
 
 class Palette(NamedTuple):
-    """Colours of values, for the GPU.
+    """Colours of values, for the GPU."""
 
-    Parameters
-    ----------
-    colors : ndarray of uint8, shape (n, 2 * N_COLORS, 3)
-        Rows from the south to the north; columns: the sea's, then the land's or all.
-    ranges : (float, float, float, float)
-        Values of the sea's first colour, of its last, of the land's first and of its last.
-    water_from : float
-        The lowest value that a legend shows in the sea's colours.
-    """
-
+    # shape (n, 2 * N_COLORS, 3); rows from the south to the north; columns: the sea's, then the
+    # land's or all
     colors: NDArray[np.uint8]
+    # values of the sea's first colour, of its last, of the land's first and of its last
     ranges: tuple[float, float, float, float]
-    water_from: float = -math.inf
+    water_from: float = -math.inf  # the lowest value that a legend shows in the sea's colours
 
     def color_of(self, values: NDArray[np.float64], row: int) -> NDArray[np.uint8]:
         """Return the colours of values at a row's latitude, shape (n, 3)."""
@@ -152,7 +145,6 @@ class Palette(NamedTuple):
 # Cached, as the viewer requests one in every frame.
 @lru_cache(maxsize=8)
 def relative_palette(name: str, low: float, high: float) -> Palette:
-    """Return the colours of a ramp from the lowest to the highest height, metres."""
     colors = _mixed(RAMPS[name], np.linspace(0, 1, N_COLORS))
     return _one_sided(colors, low, high)
 
@@ -192,7 +184,6 @@ def snow_line(latitude: float) -> float:
 
 @lru_cache(maxsize=1)
 def slope_palette() -> Palette:
-    """Return the colours of slopes, degrees."""
     return _one_sided(_mixed(_SLOPE, np.linspace(0, 60, N_COLORS)), 0.0, 60.0)
 
 

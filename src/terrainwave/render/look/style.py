@@ -120,7 +120,6 @@ class Style(OptionSet):
         return is_free and body == EARTH and self.ramp in (AUTO, "tints")
 
     def ramp_on(self, body: str) -> str:
-        """Return the ramp of relative colours on a body."""
         return _RAMP_OF_BODY.get(body, "grey") if self.ramp == AUTO else self.ramp
 
     def check_body(self, body: str) -> None:
@@ -133,12 +132,10 @@ class Style(OptionSet):
 
     @property
     def draws_solid(self) -> bool:
-        """Return whether walls, floor and lids are drawn."""
         return self.solid and not self.wireframe and self.coloring != "flat"
 
     @property
     def sun_vector(self) -> tuple[float, float, float]:
-        """Return the unit vector towards the sun."""
         azimuth, altitude = (math.radians(angle) for angle in self.sun)
         return (
             math.sin(azimuth) * math.cos(altitude),

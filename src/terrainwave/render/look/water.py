@@ -32,15 +32,10 @@ _RIM = 2
 
 
 class Water(NamedTuple):
-    """Water mask.
+    """Water mask."""
 
-    Parameters
-    ----------
-    cells : ndarray of uint8, shape (n_rows, n_cols)
-        `LAND`, `LEVEL` or `DEEP` around every `stride`-th sample of the full grid.
-    step : int
-    """
-
+    # shape (n_rows, n_cols); `LAND`, `LEVEL` or `DEEP` around every `stride`-th sample of the full
+    # grid
     cells: NDArray[np.uint8]
     stride: int
 
@@ -66,7 +61,6 @@ def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
 
 
 def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
-    """Return whether `read_water` may find any water."""
     lowest = float(frame.box[0][2]) / frame.exaggeration
     return frame.body in (EARTH, UNKNOWN) and lowest <= waves_of(terrain, frame)
 

@@ -45,7 +45,6 @@ class Adaptive(BoundedMode):
         return recursive_errors(self.terrain, count=count)
 
     def roots(self) -> list[NodeInfo]:
-        """Return the root blocks."""
         return self.builder.roots()
 
     def children(self, piece: Piece) -> list[NodeInfo]:

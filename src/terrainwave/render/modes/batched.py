@@ -33,7 +33,7 @@ from terrainwave.render.modes.neville import filtered
 from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.horizon import Floors
-from terrainwave.render.scene.patches import Cancelled, PatchBuilder
+from terrainwave.render.scene.patches import PatchBuilder, go_on
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 
@@ -53,19 +53,12 @@ class BlockGrid(NamedTuple):
 
 
 class RegularBlock(NamedTuple):
-    """A block to draw.
+    """A block to draw."""
 
-    Parameters
-    ----------
-    heights : ndarray of float32, shape (n + 1, n + 1, 2)
-        Of its vertices (see `regular`) and of its parent's surface there, metres above `base`; NaN
-        in voids and past the raster's edge.
-    slopes : ndarray of float16, shape (n + 3, n + 3, 3)
-        As in `PatchBuilder.slopes`.
-    """
-
+    # shape (n + 1, n + 1, 2); of its vertices (see `regular`) and of its parent's surface there,
+    # metres above `base`; NaN in voids and past the raster's edge
     heights: Heights
-    slopes: NDArray[np.float16]
+    slopes: NDArray[np.float16]  # shape (n + 3, n + 3, 3); as in `PatchBuilder.slopes`
     n_triangles: int
     base: float
     error: float
@@ -76,13 +69,6 @@ class RegularBlock(NamedTuple):
 
 class Batched(BoundedMode):
     """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors.
-
-    Parameters
-    ----------
-    detail : float, optional
-        μ > 0, only for error "paper".
-    order : int
-        Of the filter: 2 or 4.
 
     Notes
     -----
@@ -96,8 +82,8 @@ class Batched(BoundedMode):
         self,
         needs: ModeNeeds,
         *,
-        detail: float | None = None,
-        order: int = 4,
+        detail: float | None = None,  # μ > 0, only for error "paper"
+        order: int = 4,  # of the filter: 2 or 4
         orientation: bool = False,
     ) -> None:
         super().__init__(needs, orientation=orientation)
@@ -124,19 +110,14 @@ class Batched(BoundedMode):
     # The tree, from the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the only root block."""
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return the blocks one level finer."""
         return [self._info(child) for child in self.terrain.grid.children(piece.block)]
 
     def _info(self, block: Block) -> NodeInfo:
         region = self.terrain.grid.full_region(block)
-        rows = np.array([region.row, region.row + region.n_rows - 1])
-        cols = np.array([region.col, region.col + region.n_cols - 1])
-        xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        (left, bottom), (right, top) = self.frame.sides_of(region)
         low, high = self._limits(block)
         error = self._bound(block, self.terrain.block_error(block) * self.frame.error_metres)
         spacing = self.frame.spacing * self.terrain.grid.stride(block.level)
@@ -166,24 +147,18 @@ class Batched(BoundedMode):
     # In workers
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
-        """Return vertices and slopes of a block."""
-
-        def check() -> None:
-            if is_cancelled():
-                raise Cancelled
-
         block = piece.block
         children = self.children(piece)
         self._prefetch(block)
-        check()
+        go_on(is_cancelled)
         heights, error = self.grid(block)
-        check()
+        go_on(is_cancelled)
         before = heights
         if block.level:
             parent, before = self.grid(block.parent).heights, np.empty_like(heights)
             first_row, first_col = (block.row & 1) * self._side, (block.col & 1) * self._side
             fill_parent_heights(heights, parent, first_row, first_col, before)
-        check()
+        go_on(is_cancelled)
         slopes = self._patches.slopes(block)
         has_any = not np.isnan(heights).all()
         missing = [(0, self._side + 1 - n) for n in heights.shape]
@@ -211,7 +186,6 @@ class Batched(BoundedMode):
         self.terrain.decoder.prefetch(keys)
 
     def grid(self, block: Block) -> BlockGrid:
-        """Return a block's heights and their error, through a cache."""
         return self._grids.get_or_make(block, lambda: self._grid(block))
 
     def _grid(self, block: Block) -> BlockGrid:

@@ -9,11 +9,12 @@ makes the measured errors of the inner one those of the whole raster.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.modes.front import ALL_OPEN, MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
+from terrainwave.render.modes.front import MORPH, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh, ForestPart, draw_together
@@ -29,18 +30,13 @@ class Dynamic(FrontMode):
         Change marks by one height per frame, as in the paper.
     tree : int, optional
         Samples per side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
-
-    Attributes
-    ----------
-    samples : int
-        Samples per side of a patch; without its apron in modes whose patches overlap.
     """
 
     name = "dynamic"
     options = ("stepwise", "tree")
     morph = MORPH
     tree = 16
-    samples = 256
+    samples = 256  # samples per side of a patch; without its apron in modes whose patches overlap
     sample_bytes = 11
 
     def __init__(self, needs: ModeNeeds, *, stepwise: bool = False, tree: int | None = None):
@@ -54,24 +50,9 @@ class Dynamic(FrontMode):
         """Set the extent of patches for a size of trees."""
         self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> DynamicMesh:
-        """Return the trees of a patch. Thread-safe."""
-        return DynamicMesh(
-            heights,
-            sample_matrix=matrix,
-            patch=self.tree,
-            error=self.error,
-            base_error=base_error,
-            open_sides=ALL_OPEN,
-            is_surface=piece.level < self.n_levels - 1,
-            scratch=self.scratch,
-        )
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> DynamicMesh:
+        is_surface = piece.level < self.n_levels - 1
+        return DynamicMesh(heights, patch=self.tree, is_surface=is_surface, **given)
 
     def between(self, level: int, heights: NDArray[np.float64]) -> float:
         """Return the largest change of heights to the next sample, down and across.
@@ -86,7 +67,6 @@ class Dynamic(FrontMode):
         return sum(float(np.max(rise, initial=0.0, where=~np.isnan(rise))) for rise in rises)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Update the marks of a patch for a view."""
         followed: Followed = patch.mesh.follow(
             eye, tau, morph=self.morph, max_vertices=max_vertices, is_stepwise=self._is_stepwise
         )

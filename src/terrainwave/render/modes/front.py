@@ -27,7 +27,7 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
 from terrainwave.render.modes.mode import NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
-from terrainwave.render.scene.patches import Cancelled
+from terrainwave.render.scene.patches import go_on
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.followed import Eye, Followed, Pressure
@@ -46,27 +46,17 @@ _MOST_RELAXED = 8.0
 _STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 
 # Neighbours, or samples beyond the outline, continue beyond all sides of a mesh.
-ALL_OPEN = (True, True, True, True)
+_ALL_OPEN = (True, True, True, True)
 
 
 class Drawn(NamedTuple):
-    """A mesh for one frame.
+    """A mesh for one frame."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n, 3)
-        Local metres, heights with exaggeration.
-    triangles : ndarray of int32, shape (m, 3)
-        Those of skirts come last, patch by patch.
-    sizes : ndarray of int32, shape (n,)
-        For `--coloring level`: log2 of the vertex's share of the full grid.
-    depths : ndarray of float64, shape (n,)
-        Largest depth of a vertex at a skirt's lower end; -1 for all others.
-    """
-
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # shape (n, 3); local metres, heights with exaggeration
+    triangles: NDArray[np.int32]  # shape (m, 3); those of skirts come last, patch by patch
+    # shape (n,); for `--coloring level`: log2 of the vertex's share of the full grid
     sizes: NDArray[np.int32]
+    # shape (n,); largest depth of a vertex at a skirt's lower end; -1 for all others
     depths: NDArray[np.float64]
 
     @classmethod
@@ -76,97 +66,54 @@ class Drawn(NamedTuple):
         triangles: NDArray[np.int32],
         sizes: NDArray[np.int32],
     ) -> Self:
-        """Return a mesh without skirts."""
         return cls(vertices, triangles, sizes, np.full(len(vertices), -1.0))
 
 
 class PatchFrame(NamedTuple):
-    """The mesh of a patch for one frame.
-
-    Parameters
-    ----------
-    drawn : Drawn
-    edges : ndarray of int32, shape (k, 2)
-        Vertices of edges to neighbours that are not joined to it.
-    error : float
-        Vertical distance of the mesh from the samples of its level where such edges and those of
-        neighbours are in view; metres, without exaggeration.
-    """
+    """The mesh of a patch for one frame."""
 
     drawn: Drawn
+    # shape (k, 2); vertices of edges to neighbours that are not joined to it
     edges: NDArray[np.int32]
+    # vertical distance of the mesh from the samples of its level where such edges and those of
+    # neighbours are in view; metres, without exaggeration
     error: float
 
 
 class PatchSamples(NamedTuple):
-    """A rectangle of a level.
-
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; NaN in voids.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        Metres per metre to the east and to the north, and heights (`HeightTexels`).
-    """
+    """A rectangle of a level."""
 
     region: Region
-    heights: NDArray[np.float64]
+    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
+    # shape (n_rows, n_cols, 3); metres per metre to the east and to the north, and heights
+    # (`HeightTexels`)
     slopes: NDArray[np.float16]
 
 
 class Continued(NamedTuple):
-    """The heights of a patch, and of samples beyond the raster's outline.
+    """The heights of a patch, and of samples beyond the raster's outline."""
 
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; NaN in voids.
-    lead : tuple of int
-        Rows and columns before those of the patch.
-    """
-
-    heights: NDArray[np.float64]
-    lead: tuple[int, int]
+    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
+    lead: tuple[int, int]  # rows and columns before those of the patch
 
 
 @dataclass(frozen=True)
 class FrontPatch:
-    """Result of `build`: a mesh that follows the camera over samples of one level.
-
-    Parameters
-    ----------
-    region : Region
-        Of the level.
-    matrix : tuple of float
-        Positions of its samples in local metres, counted from its first.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
-        See `PatchSamples`.
-    mesh : object, optional
-        Over `Continued.heights`; None if there is nothing to draw.
-    lead : tuple of int
-        As of `Continued`.
-    error : float
-        Largest distance of originals from triangles between all samples, metres.
-    children : list of NodeInfo
-    side : int
-        Samples per side of the mode's largest patches.
-    room : int
-        Limit of a patch's memory besides its slopes, in bytes.
-    between : float
-        Largest additional distance of triangles from the bilinear surface between samples, over
-        `PatchFrame.error`, metres.
-    """
+    """Result of `build`: a mesh that follows the camera over samples of one level."""
 
     piece: Piece
-    region: Region
-    matrix: tuple[float, ...]
-    slopes: NDArray[np.float16]
-    mesh: Any  # a DynamicMesh or a RestrictedMesh
-    lead: tuple[int, int]
-    error: float
+    region: Region  # of the level
+    matrix: tuple[float, ...]  # positions of its samples in local metres, counted from its first
+    slopes: NDArray[np.float16]  # as of `PatchSamples`
+    # over `Continued.heights`: a DynamicMesh or a RestrictedMesh; None if there is nothing to draw
+    mesh: Any
+    lead: tuple[int, int]  # as of `Continued`
+    error: float  # largest distance of originals from triangles between all samples, metres
     children: list[NodeInfo]
-    side: int
-    room: int
+    side: int  # samples per side of the mode's largest patches
+    room: int  # limit of a patch's memory besides its slopes, in bytes
+    # largest additional distance of triangles from the bilinear surface between samples, over
+    # `PatchFrame.error`, metres
     between: float = 0.0
     n_triangles: int = 0
     base: float = 0.0
@@ -174,7 +121,6 @@ class FrontPatch:
     floors: None = None
 
     def places(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return columns and rows of its samples under local x, y; shape (n, 2)."""
         a, b, c, d, e, f = self.matrix
         inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
         return (vertices[:, :2] - (c, f)) @ inverse.T
@@ -193,37 +139,17 @@ def eye_of(view: View) -> Eye:
 
 
 class FrontMode(Mode):
-    """Mode of patches whose meshes follow the camera.
+    """Mode of patches whose meshes follow the camera."""
 
-    Attributes
-    ----------
-    cells : int
-        Of a patch, per side.
-    apron, beyond : int
-        Samples by which patches extend beyond their first row and column, and beyond those of their
-        cells.
-    tree : int
-        Meshes have this number of samples per side, or a multiple of it, and may end half as many
-        short of their last ones.
-    sample_bytes : int
-        Of a mesh, at most.
-    scratch : Scratch
-        Of the thread that draws.
-    drawn : Drawn, optional
-        The mesh of the last frame.
-    shown : list of FrontPatch
-        Patches of the last frame, in the order of `Frames.nodes`.
-    followed : list of Followed
-        Statistics of their meshes.
-    first_vertices : list of int
-        First vertex of each in `drawn`.
-    """
-
-    cells: int
+    cells: int  # of a patch, per side
+    # `apron, beyond`: samples by which patches extend beyond their first row and column, and beyond
+    # those of their cells
     apron: int = 0
     beyond: int = 1
+    # meshes have this number of samples per side, or a multiple of it, and may end half as many
+    # short of their last ones
     tree: int = 1
-    sample_bytes: int
+    sample_bytes: int  # of a mesh, at most
 
     def __init__(self, needs: ModeNeeds) -> None:
         super().__init__(needs)
@@ -231,14 +157,15 @@ class FrontMode(Mode):
         self._scale = HeightScale.of(terrain, frame)
         self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}
-        self.scratch = Scratch()
+        self.scratch = Scratch()  # of the thread that draws
         self._pressure, self._shortage = Pressure(), 1.0
         self._last_camera: Camera | None = None
         self._is_short = False
-        self.drawn: Drawn | None = None
+        self.drawn: Drawn | None = None  # the mesh of the last frame
+        # patches of the last frame, in the order of `Frames.nodes`
         self.shown: list[FrontPatch] = []
-        self.followed: list[Followed] = []
-        self.first_vertices: list[int] = []
+        self.followed: list[Followed] = []  # statistics of their meshes
+        self.first_vertices: list[int] = []  # first vertex of each in `drawn`
 
     # The tree
 
@@ -283,7 +210,6 @@ class FrontMode(Mode):
         ]
 
     def region(self, piece: Piece) -> Region:
-        """Return the samples of a piece within its level."""
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
@@ -328,7 +254,6 @@ class FrontMode(Mode):
         return [Block(level, row, col) for row in rows for col in cols]
 
     def _info(self, piece: Piece) -> NodeInfo:
-        """Return box and error of a piece from the index."""
         terrain = self.terrain
         region = self.region(piece)
         stride = terrain.grid.stride(piece.level)
@@ -336,10 +261,7 @@ class FrontMode(Mode):
         error = self._level_error(piece.level, blocks)
         boxes = [height for block in blocks for height in terrain.block_box(block)]
         z = [self.frame.to_metres(height) for height in boxes]
-        rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
-        cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
-        xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        (left, bottom), (right, top) = self.frame.sides_of(region, stride)
         low, high = (left, bottom, min(z) - error), (right, top, max(z) + error)
         return NodeInfo(piece, low, high, error, self.frame.spacing * stride)
 
@@ -355,13 +277,11 @@ class FrontMode(Mode):
     # In worker threads
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
-        """Return the patch of a piece. Thread-safe."""
         region = self.region(piece)
         info = self._info(piece)
         children = self.children(piece)
         samples = self.read(piece.level, region)
-        if is_cancelled():
-            raise Cancelled
+        go_on(is_cancelled)
         a, b, c, d, e, f = self.frame.sample_matrix
         stride = self.terrain.grid.stride(piece.level)
         row, col = region.row * stride, region.col * stride
@@ -372,7 +292,10 @@ class FrontMode(Mode):
         if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
             if piece.level < self.n_levels - 1:  # originals also lie between samples
                 error += twist_of(heights)
-            mesh = self.make_mesh(piece, heights, _moved(matrix, lead), error)
+            mesh = self.make_mesh(
+                piece, heights, sample_matrix=_moved(matrix, lead), error=self.error,
+                base_error=error, open_sides=_ALL_OPEN, scratch=self.scratch,
+            )  # fmt: skip
         return FrontPatch(
             piece, region, matrix, samples.slopes, mesh, lead, error, children, self.side,
             self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
@@ -390,14 +313,8 @@ class FrontMode(Mode):
         return 0.0
 
     @abstractmethod
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> Any:
-        """Return the mesh of a patch: neighbours continue beyond all its sides. Thread-safe."""
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> Any:
+        """Return the mesh of a patch, `given` most of its arguments. Thread-safe."""
 
     def read(self, level: int, region: Region) -> PatchSamples:
         """Return samples of a level. Thread-safe."""
@@ -418,11 +335,9 @@ class FrontMode(Mode):
     # Loading and dropping of pieces
 
     def keep(self, piece: Piece, built: Any) -> None:
-        """Add a patch."""
         self._patches[piece] = built
 
     def drop(self, piece: Piece) -> None:
-        """Remove a patch."""
         del self._patches[piece]
 
     # Each frame
@@ -490,7 +405,10 @@ class FrontMode(Mode):
 
     def _follow_all(self, eye: Eye, tau: float, relaxed: NDArray[np.float64]) -> float:
         """Update all meshes, within the budget; return the error they keep, in pixels."""
-        budget = self._max_vertices()
+        # A mesh has less than three triangles per vertex: two and, with skirts, two per edge on
+        # borders.
+        least = sum(patch.mesh.least_vertices for patch in self.shown)
+        budget = max(min(self.max_triangles // 3, MAX_VERTICES), least)
         self._pressure.relieve()
         while True:
             used = tau * self._pressure.factor
@@ -507,16 +425,7 @@ class FrontMode(Mode):
         ]
         return max(kept, default=tau)
 
-    def _max_vertices(self) -> int:
-        """Return the budget of a frame: a mesh has less than three triangles per vertex.
-
-        Two and, with skirts, two more per edge on borders.
-        """
-        least = sum(patch.mesh.least_vertices for patch in self.shown)
-        return max(min(self.max_triangles // 3, MAX_VERTICES), least)
-
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
-        """Update the mesh of a patch."""
         followed: Followed = patch.mesh.follow(eye, tau, morph=MORPH, max_vertices=max_vertices)
         return followed
 

@@ -12,12 +12,10 @@ class Full(Adaptive):
 
     @property
     def is_bound(self) -> bool:
-        """Return True: errors select nothing here."""
         return True
 
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as in `Mode`
-        """Return None: errors select nothing here."""
         return None
 
     def _recursive_errors(self) -> None:

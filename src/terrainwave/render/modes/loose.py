@@ -31,11 +31,9 @@ class Loose(Adaptive):
         return False
 
     def keep(self, piece: Piece, built: Any) -> None:
-        """Record the error of a mesh."""
         self._drawn_errors[piece] = built.drawn_error
 
     def drop(self, piece: Piece) -> None:
-        """Remove the error of a mesh."""
         del self._drawn_errors[piece]
 
     def frames(

@@ -34,81 +34,42 @@ NO_PROMISE = 1e6
 
 
 class Frames(NamedTuple):
-    """Nodes to draw, each with distance, morph and skirt.
+    """Nodes to draw, each with distance, morph and skirt."""
 
-    Parameters
-    ----------
-    nodes : ndarray of int32, shape (n,)
-    distances : ndarray of float64, shape (n,)
-        From the eye to the nearest part of the box, metres.
-    morphs : ndarray of float64, shape (n,)
-        Share of the parent's surface, 0 … 1.
-    skirts : ndarray of float64, shape (n,)
-        Depth of skirts, local metres.
-    n_triangles : int
-    tau : float
-        Pixels; above the requested one if limits require it.
-    n_missing : int
-        Wanted pieces that are not loaded yet.
-    """
-
-    nodes: NDArray[np.int32]
+    nodes: NDArray[np.int32]  # shape (n,)
+    # shape (n,); from the eye to the nearest part of the box, metres
     distances: NDArray[np.float64]
-    morphs: NDArray[np.float64]
-    skirts: NDArray[np.float64]
+    morphs: NDArray[np.float64]  # shape (n,); share of the parent's surface, 0 … 1
+    skirts: NDArray[np.float64]  # shape (n,); depth of skirts, local metres
     n_triangles: int
-    tau: float
-    n_missing: int
+    tau: float  # pixels; above the requested one if limits require it
+    n_missing: int  # wanted pieces that are not loaded yet
 
 
 class ModeNeeds(NamedTuple):
-    """Arguments of every mode.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    frame : Frame
-        Local metres; its exaggeration is not used: the GPU applies it.
-    error : str
-        One of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
-        ("paper"), or the file's wavelet coefficients ("coefficient").
-    progress : callable, optional
-        Called with a `Progress` if the mode needs long preparation.
-    """
+    """Arguments of every mode."""
 
     terrain: "TerrainFile"
-    frame: Frame
+    frame: Frame  # local metres; its exaggeration is not used: the GPU applies it
+    # one of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
+    # ("paper"), or the file's wavelet coefficients ("coefficient")
     error: str = ERRORS[0]
+    # called with a `Progress` if the mode needs long preparation
     progress: ProgressCallback | None = None
 
 
 class Mode(ABC):
-    """Way to draw a terrain. Thread-safe only where stated.
+    """Way to draw a terrain. Thread-safe only where stated."""
 
-    Attributes
-    ----------
-    name : str
-        As in ``--mode``.
-    errors : tuple of str
-        Supported errors, as in ``--error``.
-    options : tuple of str
-        Further options, as in `Scene` and on the command line; keywords of its constructor.
-    is_partwise : bool
-        All finest pieces are drawn, as many at a time as the store holds.
-    n_levels : int
-        Of its pieces; level 0 is the coarsest.
-    is_oriented : bool
-        Errors count by the direction from which they are seen (`View.is_oriented`).
-    max_triangles : int
-        Per frame, for modes that make their triangles in `frames`: they raise τ beyond it.
-        Triangles of pieces are counted by the selection.
-    """
-
-    name: str
-    errors: tuple[str, ...] = ERRORS
+    name: str  # as in ``--mode``
+    errors: tuple[str, ...] = ERRORS  # supported errors, as in ``--error``
+    # further options, as in `Scene` and on the command line; keywords of its constructor
     options: tuple[str, ...] = ()
-    is_partwise = False
+    is_partwise = False  # all finest pieces are drawn, as many at a time as the store holds
+    # errors count by the direction from which they are seen (`View.is_oriented`)
     is_oriented = False
+    # per frame, for modes that make their triangles in `frames`: they raise τ beyond it. Triangles
+    # of pieces are counted by the selection.
     max_triangles = MAX_TRIANGLES
 
     def __init__(self, needs: ModeNeeds) -> None:
@@ -118,17 +79,12 @@ class Mode(ABC):
                 f" {', '.join(self.errors)}"
             )
         self.terrain, self.frame, self.error, self.progress = needs
-        self.n_levels = self.terrain.n_levels
+        self.n_levels = self.terrain.n_levels  # of its pieces; level 0 is the coarsest
 
     @classmethod
     def preparation(cls, error: str) -> str | None:  # noqa: ARG003, as some modes need it
         """Return what is decoded before the first picture, and why; None if that is little."""
         return None
-
-    def close(self) -> None:  # noqa: B027  most modes have nothing to close
-        """Release resources; no `build` runs any more."""
-
-    # The tree, from the index
 
     @abstractmethod
     def roots(self) -> list[NodeInfo]:

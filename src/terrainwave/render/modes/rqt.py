@@ -4,11 +4,13 @@ Their tiles are patches here: workers read and decode them when they come into v
 that is not good enough; the parent is drawn until they are loaded.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.read.tile_decoder import Tiles, with_coefficients
-from terrainwave.render.modes.front import ALL_OPEN, Drawn, FrontMode, FrontPatch, PatchFrame
+from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.followed import Eye, Followed
@@ -29,40 +31,17 @@ class RqtMode(FrontMode):
         if self.error == "coefficient":
             self._tiles = with_coefficients(self.terrain.decoder)
 
-    def make_mesh(
-        self,
-        piece: Piece,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        base_error: float,
-    ) -> RestrictedMesh:
-        """Return the quadtree of a patch, of one tile. Thread-safe."""
-        return RestrictedMesh(
-            heights,
-            tile=max(1 << (max(heights.shape) - 2).bit_length(), 2),
-            sample_matrix=matrix,
-            error=self.error,
-            base_error=base_error,
-            coefficients=self._coefficients(piece, heights.shape),
-            open_sides=ALL_OPEN,
-            scratch=self.scratch,
-        )
-
-    def _coefficients(self, piece: Piece, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
-        """Return the magnitudes of the file's coefficients in metres, 0 beyond the outline.
-
-        None if `error` does not need them.
-        """
-        if self._tiles is None:
-            return None
-        region = self.region(piece)
-        magnitudes = np.zeros(shape)
-        quanta = self._tiles.coefficients(piece.level, region)
-        magnitudes[: region.n_rows, : region.n_cols] = quanta
-        return magnitudes * abs(self._scale.per_quantum)
+    def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> RestrictedMesh:
+        tile = max(1 << (max(heights.shape) - 2).bit_length(), 2)
+        magnitudes = None
+        if self._tiles is not None:  # metres, 0 beyond the outline
+            region, magnitudes = self.region(piece), np.zeros(heights.shape)
+            quanta = self._tiles.coefficients(piece.level, region)
+            magnitudes[: region.n_rows, : region.n_cols] = quanta
+            magnitudes *= abs(self._scale.per_quantum)
+        return RestrictedMesh(heights, tile=tile, coefficients=magnitudes, **given)
 
     def frames_of(self, eye: Eye) -> list[PatchFrame]:
-        """Return the meshes of `shown`, which have followed the eye."""
         return [
             self._frame_of(patch, eye, followed)
             for patch, followed in zip(self.shown, self.followed, strict=True)

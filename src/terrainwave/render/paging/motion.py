@@ -43,7 +43,6 @@ class Motion:
             self._seen.popleft()
 
     def _is_jump(self, camera: Camera, now: float) -> bool:
-        """Return whether the camera is where neither its motion nor its rest explains."""
         first, last = self._seen[0], self._seen[-1]
         seconds = last[0] - first[0]
         way = float(np.linalg.norm(camera.eye - last[1].eye))

@@ -1,6 +1,5 @@
 """Worker threads that build wanted pieces, in order; the thread that draws never waits."""
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from terrainwave import interrupts
+from terrainwave.render.paging.threads import Threads
 from terrainwave.render.scene.patches import Cancelled
 
 _KEPT_TIMES = 4096
@@ -26,31 +26,18 @@ class _Running:
     is_wanted: bool = True
 
 
-class Pager:
-    """Builds values for keys in worker threads.
-
-    Parameters
-    ----------
-    build : callable
-        Called with a key and a function that returns whether the work is cancelled; may raise
-        `Cancelled`.
-    n_workers : int
-    max_ready : int
-        Largest number of waiting results, at which workers pause: memory is bounded by
-        ``max_ready + n_workers`` of them.
-
-    Attributes
-    ----------
-    build_ms : deque of float
-        Processor time of the last builds, milliseconds.
-    n_cancelled : int
-    """
+class Pager(Threads):
+    """Builds values for keys in worker threads."""
 
     def __init__(
         self,
+        # called with a key and a function that returns whether the work is cancelled; may raise
+        # `Cancelled`
         build: Callable[[Any, Callable[[], bool]], Any],
         *,
         n_workers: int = 2,
+        # largest number of waiting results, at which workers pause: memory is bounded by
+        # ``max_ready + n_workers`` of them
         max_ready: int = 16,
     ) -> None:
         self._build = build
@@ -59,16 +46,10 @@ class Pager:
         self._running: dict[Hashable, _Running] = {}
         self._ready: deque[Arrival] = deque()
         self._ready_keys: set[Hashable] = set()
-        self._changed = threading.Condition()
-        self._is_closed = False
+        # processor time of the last builds, milliseconds
         self.build_ms: deque[float] = deque(maxlen=_KEPT_TIMES)
         self.n_cancelled = 0
-        self._threads = [
-            threading.Thread(target=self._work, name=f"terrainwave-pager-{k}", daemon=True)
-            for k in range(n_workers)
-        ]
-        for thread in self._threads:
-            thread.start()
+        super().__init__("pager", n_workers)
 
     def request(self, keys: Sequence[Hashable]) -> None:
         """Replace the wanted keys, the most urgent first.
@@ -102,43 +83,30 @@ class Pager:
             )
 
     def close(self, patience: float | None = None) -> None:
-        """Stop the threads; unfinished work is dropped.
+        """Stop the threads; unfinished work is dropped."""
+        self.request([])
+        super().close(patience)
 
-        `patience` limits the seconds to wait for each; by default until its work is done.
-        """
+    def _has_work(self) -> bool:
+        return bool(self._queue) and len(self._ready) < self._max_ready
+
+    def _take(self) -> tuple[Hashable, _Running]:
+        key = self._queue.popleft()
+        running = self._running[key] = _Running()
+        return key, running
+
+    def _do(self, work: tuple[Hashable, _Running]) -> None:
+        started = time.thread_time()
+        built = self._attempt(*work)
         with self._changed:
-            self._is_closed = True
-            self._queue.clear()
-            for running in self._running.values():
-                running.is_wanted = False
+            del self._running[work[0]]
+            if built is None:
+                self.n_cancelled += 1
+            else:
+                self.build_ms.append((time.thread_time() - started) * 1e3)
+                self._ready.append(built)
+                self._ready_keys.add(built.key)
             self._changed.notify_all()
-        for thread in self._threads:
-            thread.join(patience)
-
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(
-                    lambda: (
-                        self._is_closed
-                        or (bool(self._queue) and len(self._ready) < self._max_ready)
-                    )
-                )
-                if self._is_closed:
-                    return
-                key = self._queue.popleft()
-                running = self._running[key] = _Running()
-            started = time.thread_time()
-            built = self._attempt(key, running)
-            with self._changed:
-                del self._running[key]
-                if built is None:
-                    self.n_cancelled += 1
-                else:
-                    self.build_ms.append((time.thread_time() - started) * 1e3)
-                    self._ready.append(built)
-                    self._ready_keys.add(key)
-                self._changed.notify_all()
 
     def _attempt(self, key: Hashable, running: _Running) -> Arrival | None:
         try:

@@ -19,30 +19,17 @@ class Problems:
 
     A piece whose server cannot be reached is held back for a pause, each twice as long as the one
     before; an arrival ends the pause. All other pieces are damaged permanently.
-
-    Parameters
-    ----------
-    retries : bool
-        Try unavailable pieces again.
-    n_replies : callable, optional
-        Returns the number of replies of a server, whose silence is reported. None: no server.
-    clock : callable
-        Seconds.
-
-    Attributes
-    ----------
-    damaged : dict of hashable to str
-        Message for each piece.
     """
 
     def __init__(
         self,
         *,
-        retries: bool = False,
+        retries: bool = False,  # try unavailable pieces again
+        # returns the number of replies of a server, whose silence is reported. None: no server.
         n_replies: Callable[[], int] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.monotonic,  # seconds
     ) -> None:
-        self.damaged: dict[Hashable, str] = {}
+        self.damaged: dict[Hashable, str] = {}  # message for each piece
         self._retries, self._count, self._clock = retries, n_replies, clock
         self._n_replies = 0  # at the last check
         self._held: set[Hashable] = set()
@@ -51,7 +38,6 @@ class Problems:
         self._message = ""
 
     def add(self, piece: Hashable, error: Exception) -> None:
-        """Record why a piece could not be built."""
         if not (self._retries and isinstance(error, SourceUnavailableError)):
             self.damaged[piece] = str(error)
             return
@@ -79,19 +65,16 @@ class Problems:
         return self._n_replies != n_before
 
     def holds(self, piece: Hashable) -> bool:
-        """Return whether a piece must not be requested now."""
         if self._held and self._clock() >= self._try_at:
             self._held.clear()
         return piece in self._held or piece in self.damaged
 
     @property
     def is_clear(self) -> bool:
-        """Return whether nothing is held back."""
         return not self._held and not self.damaged
 
     @property
     def n_held(self) -> int:
-        """Return the number of pieces that wait for the end of a pause."""
         return len(self._held)
 
     def lines(self, n_missing: int = 0) -> list[str]:

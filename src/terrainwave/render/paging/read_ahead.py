@@ -1,15 +1,16 @@
 """Fetches the data of queued pieces from a server, before they are decoded."""
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
 from terrainwave.render.paging.problems import replies_of
+from terrainwave.render.paging.threads import Threads
 from terrainwave.render.scene.selection import NodeTable, Piece, View
 
 if TYPE_CHECKING:
@@ -29,23 +30,18 @@ PATIENCE = 1.0  # seconds
 _RING = 2
 
 
-class Descent:
+class Descent(Threads):
     """Thread that finds the data of a view, only by the index, and fetches them.
 
     The scene learns a piece's children when the piece has been built: initially each level would
     wait for the one above it to be fetched, decoded and built.
-
-    Parameters
-    ----------
-    mode : Mode
-        For its tree and its wanted pieces; its `wanted` uses a table of this thread's own.
-    prefetch, units : callable
-        As of `ReadAhead`.
     """
 
     def __init__(
         self,
+        # for its tree and its wanted pieces; its `wanted` uses a table of this thread's own
         mode: "Mode",
+        # `prefetch, units`: as of `ReadAhead`
         prefetch: Callable[[Sequence[Block]], object],
         units: Callable[[Piece], Sequence[Block]],
     ) -> None:
@@ -53,10 +49,7 @@ class Descent:
         self._table = self._roots()
         self._wish: _Wish | None = None
         self._seen: Camera | None = None
-        self._changed = threading.Condition()
-        self._is_closed = False
-        self._thread = threading.Thread(target=self._work, name="terrainwave-descent", daemon=True)
-        self._thread.start()
+        super().__init__("descent", 1)
 
     def look(self, view: View, tau: float, is_here: Callable[[Piece], bool]) -> None:
         """Fetch the data of a view from now on, except pieces for which `is_here` is true."""
@@ -67,18 +60,18 @@ class Descent:
             self._wish = _Wish(view, tau, is_here)
             self._changed.notify_all()
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._is_closed or self._wish is not None)
-                if self._is_closed:
-                    return
-                wish, self._wish = self._wish, None
-            assert wish is not None
-            # Building the piece will raise the error again, and report it.
-            with suppress(TerrainwaveError):
-                self._fetch(self._pieces(wish))
-            time.sleep(_REST)
+    def _has_work(self) -> bool:
+        return self._wish is not None
+
+    def _take(self) -> "_Wish | None":
+        wish, self._wish = self._wish, None
+        return wish
+
+    def _do(self, work: "_Wish") -> None:
+        # Building the piece will raise the error again, and report it.
+        with suppress(TerrainwaveError):
+            self._fetch(self._pieces(work))
+        time.sleep(_REST)
 
     def _roots(self) -> NodeTable:
         table = NodeTable()
@@ -112,13 +105,6 @@ class Descent:
     def _is_stale(self) -> bool:
         return self._is_closed or self._wish is not None
 
-    def close(self) -> None:
-        """Stop the thread, without a long wait for a pending request."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify_all()
-        self._thread.join(PATIENCE)
-
 
 class _Wish(NamedTuple):
     """Request: a view, its τ, and which pieces are loaded."""
@@ -128,36 +114,20 @@ class _Wish(NamedTuple):
     is_here: Callable[[Piece], bool]
 
 
-class ReadAhead:
-    """Threads that fetch payloads of pieces, the most urgent first, and decode nothing.
-
-    Parameters
-    ----------
-    prefetch : callable
-        Fetches the data needed to decode some units, in few requests.
-    units : callable
-        Returns the units of a piece.
-    descent : Descent, optional
-        Closed with it.
-    """
+class ReadAhead(Threads):
+    """Threads that fetch payloads of pieces, the most urgent first, and decode nothing."""
 
     def __init__(
         self,
+        # fetches the data needed to decode some units, in few requests
         prefetch: Callable[[Sequence[Block]], object],
-        units: Callable[[Piece], Sequence[Block]],
-        descent: Descent | None = None,
+        units: Callable[[Piece], Sequence[Block]],  # returns the units of a piece
+        descent: Descent | None = None,  # closed with it
     ) -> None:
         self._prefetch, self._units, self._descent = prefetch, units, descent
         self._queue: list[Piece] = []
         self._done: set[Piece] = set()
-        self._changed = threading.Condition()
-        self._is_closed = False
-        self._threads = [
-            threading.Thread(target=self._work, name=f"terrainwave-ahead-{k}", daemon=True)
-            for k in range(_THREADS)
-        ]
-        for thread in self._threads:
-            thread.start()
+        super().__init__("ahead", _THREADS)
 
     def request(self, pieces: Sequence[Piece]) -> None:
         """Replace the wanted pieces, the most urgent first."""
@@ -171,30 +141,27 @@ class ReadAhead:
         if self._descent is not None:
             self._descent.look(view, tau, is_here)
 
-    def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._is_closed or bool(self._queue))
-                if self._is_closed:
-                    return
-                batch, self._queue = self._queue[:_BATCH], self._queue[_BATCH:]
-                self._done.update(batch)
-            keys = dict.fromkeys(key for piece in batch for key in self._units(piece))
-            try:
-                self._prefetch(list(keys))
-            except TerrainwaveError:  # building the piece will raise it again, and report it
-                with self._changed:
-                    self._done.difference_update(batch)
+    def _has_work(self) -> bool:
+        return bool(self._queue)
 
-    def close(self) -> None:
+    def _take(self) -> list[Piece]:
+        batch, self._queue = self._queue[:_BATCH], self._queue[_BATCH:]
+        self._done.update(batch)
+        return batch
+
+    def _do(self, work: list[Piece]) -> None:
+        keys = dict.fromkeys(key for piece in work for key in self._units(piece))
+        try:
+            self._prefetch(list(keys))
+        except TerrainwaveError:  # building the piece will raise it again, and report it
+            with self._changed:
+                self._done.difference_update(work)
+
+    def close(self, patience: float | None = PATIENCE) -> None:
         """Stop the threads, without a long wait for pending requests."""
-        with self._changed:
-            self._is_closed = True
-            self._changed.notify_all()
-        for thread in self._threads:
-            thread.join(PATIENCE)
+        super().close(patience)
         if self._descent is not None:
-            self._descent.close()
+            self._descent.close(patience)
 
 
 def units_of_piece(terrain: "TerrainFile", piece: Piece) -> list[Block]:
@@ -209,8 +176,6 @@ def read_ahead_of(terrain: "TerrainFile", mode: "Mode") -> ReadAhead | None:
     if replies_of(terrain) is None or not hasattr(mode, "builder"):
         return None
 
-    def units(piece: Piece) -> list[Block]:
-        return units_of_piece(terrain, piece)
-
+    units = partial(units_of_piece, terrain)
     prefetch = terrain.decoder.prefetch
     return ReadAhead(prefetch, units, Descent(mode, prefetch, units))

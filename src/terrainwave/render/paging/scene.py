@@ -83,31 +83,18 @@ class Timings:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions(DrawnOptions):
-    """Options of a `Scene`.
+    """Options of a `Scene`."""
 
-    Parameters
-    ----------
-    max_triangles : int
-        Per frame; τ is raised beyond it.
-    target_ms : float, optional
-        Per frame; τ is raised where it takes longer.
-    horizon : bool
-        Blocks behind nearer ground are neither drawn nor asked for, in modes adaptive, batched and
-        loose with measured errors, while the eye is above the ground.
-    n_workers : int
-        Threads that read, decode and build.
-    retries : bool
-        Ask again for what a server did not send, after pauses, and the roots too; by default what
-        cannot be read is drawn coarser, and a root raises.
-    progress : callable, optional
-        Called with a `Progress` where a mode prepares for long.
-    """
-
-    max_triangles: int = MAX_TRIANGLES
-    target_ms: float | None = None
+    max_triangles: int = MAX_TRIANGLES  # per frame; τ is raised beyond it
+    target_ms: float | None = None  # per frame; τ is raised where it takes longer
+    # blocks behind nearer ground are neither drawn nor asked for, in modes adaptive, batched and
+    # loose with measured errors, while the eye is above the ground
     horizon: bool = True
-    n_workers: int = 2
+    n_workers: int = 2  # threads that read, decode and build
+    # ask again for what a server did not send, after pauses, and the roots too; by default what
+    # cannot be read is drawn coarser, and a root raises
     retries: bool = False
+    # called with a `Progress` where a mode prepares for long
     progress: ProgressCallback | None = None
 
 
@@ -166,12 +153,10 @@ class Scene:
         self.close()
 
     def close(self) -> None:
-        """Stop the workers."""
         # A server that is silent would hold them for long.
         self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
         if self._ahead_reader is not None:
             self._ahead_reader.close()
-        self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
         """Change the vertical exaggeration; patches do not change."""
@@ -200,7 +185,6 @@ class Scene:
 
     @property
     def n_cancelled(self) -> int:
-        """Return how many pieces were no longer wanted while they were built."""
         return self._pager.n_cancelled
 
     # One frame
@@ -321,7 +305,6 @@ class Scene:
         )  # fmt: skip
 
     def _split_error(self, view: View) -> float:
-        """Return the τ below which blocks are split, before the governor."""
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
 
     # Paging
@@ -365,7 +348,6 @@ class Scene:
         return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the nodes that are not here and can be asked for."""
         absent = wanted[~self.table.is_resident[wanted]]
         if self.problems.is_clear:
             return absent

@@ -33,22 +33,12 @@ _LEAST_SIZE = 1.0
 
 @dataclass(frozen=True)
 class Camera:
-    """Eye, direction and field of view.
+    """Eye, direction and field of view."""
 
-    Parameters
-    ----------
-    position : tuple of float
-        x, y, z in local metres.
-    heading, pitch : float
-        Degrees; -90 looks straight down.
-    fov : float
-        Vertical field of view in degrees, 1 to 150.
-    """
-
-    position: tuple[float, float, float]
-    heading: float = 0.0
-    pitch: float = 0.0
-    fov: float = DEFAULT_FOV
+    position: tuple[float, float, float]  # x, y, z in local metres
+    heading: float = 0.0  # degrees
+    pitch: float = 0.0  # degrees; -90 looks straight down
+    fov: float = DEFAULT_FOV  # vertical field of view in degrees, 1 to 150
 
     @cached_property
     def eye(self) -> Vector:
@@ -71,7 +61,6 @@ class Camera:
 
     @property
     def forward(self) -> Vector:
-        """Return the unit vector of the view."""
         forward: Vector = self.axes[2]
         return forward
 
@@ -85,7 +74,6 @@ class Viewport:
 
     @property
     def aspect(self) -> float:
-        """Return width / height."""
         return self.width / self.height
 
 

@@ -15,6 +15,7 @@ from terrainwave.grid.affine import (
     places_to_pixels,
     samples_to_places,
 )
+from terrainwave.grid.quadtree import Region
 from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of
 from terrainwave.place.units import height_unit
@@ -37,55 +38,39 @@ _MOST_LATITUDE = 89.9
 
 @dataclass(frozen=True)
 class Frame:
-    """Conversion of samples and world coordinates to local metres.
+    """Conversion of samples and world coordinates to local metres."""
 
-    Parameters
-    ----------
-    centre : tuple of float
-        x, y in the CRS of the local origin.
-    metres : tuple of float
-        Metres per unit of x, y and height, without exaggeration; > 0, except for heights that are
-        depths: up is positive in local metres.
-    sample_matrix : tuple of float
-        (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
-    shape : tuple of int
-        Rows and columns of the full grid.
-    heights : tuple of float
-        Lowest and highest height in the file's unit.
-    exaggeration : float
-        Local z is the height in metres times this.
-    body : str
-        One of `place.bodies`' names.
-    latitudes : tuple of float, optional
-        In degrees, at the middle of the lower and the upper side.
-    axes : LocalAxes, optional
-        Metres to the east and north of steps along x and y; by default x points east and y north.
-    zero : float
-        The number in the file's unit at local z 0: for radii the body's own.
-    """
-
-    centre: tuple[float, float]
+    centre: tuple[float, float]  # x, y in the CRS of the local origin
+    # metres per unit of x, y and height, without exaggeration; > 0, except for heights that are
+    # depths: up is positive in local metres
     metres: tuple[float, float, float]
+    # (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples
     sample_matrix: tuple[float, float, float, float, float, float]
-    shape: tuple[int, int]
-    heights: tuple[float, float]
-    exaggeration: float = 1.0
-    body: str = UNKNOWN
+    shape: tuple[int, int]  # rows and columns of the full grid
+    heights: tuple[float, float]  # lowest and highest height in the file's unit
+    exaggeration: float = 1.0  # local z is the height in metres times this
+    body: str = UNKNOWN  # one of `place.bodies`' names
+    # in degrees, at the middle of the lower and the upper side
     latitudes: tuple[float, float] | None = None
+    # metres to the east and north of steps along x and y; by default x points east and y north
     axes: LocalAxes | None = None
-    zero: float = 0.0
+    zero: float = 0.0  # the number in the file's unit at local z 0: for radii the body's own
 
     @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the lowest and highest corner of the terrain in local metres, read-only."""
-        n_rows, n_cols = self.shape
-        rows = np.array([0, 0, n_rows - 1, n_rows - 1])
-        cols = np.array([0, n_cols - 1, 0, n_cols - 1])
-        xy = self.samples_to_local(rows, cols)
+        first, last = self.sides_of(Region(0, 0, *self.shape))
         z = np.array(self.height_range) * self.exaggeration
-        low, high = np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+        low, high = np.array([*first, z.min()]), np.array([*last, z.max()])
         low.flags.writeable = high.flags.writeable = False
         return low, high
+
+    def sides_of(self, region: Region, stride: int = 1) -> tuple[list[float], list[float]]:
+        """Return the lowest and highest local x, y of a region of every `stride`-th sample."""
+        rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
+        cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
+        xy = self.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        return xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
 
     def to_metres(self, heights: Numbers) -> Numbers:
         """Return metres upwards, without exaggeration, of numbers in the file's unit."""
@@ -117,7 +102,6 @@ class Frame:
 
     @property
     def solid_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the box of the terrain and the block under it."""
         low, high = self.box
         return np.array([low[0], low[1], self.base]), high.copy()
 
@@ -182,7 +166,6 @@ class Frame:
 
     @cached_property
     def _matrix(self) -> NDArray[np.float64]:
-        """Return the matrix from differences in the file's CRS and unit to local metres."""
         per_x, per_y, per_height = self.metres
         matrix = np.diag([per_x, per_y, per_height * self.exaggeration])
         if self.axes is not None:

@@ -62,23 +62,14 @@ class Horizon(NamedTuple):
         cls,
         camera: Camera,
         viewport: Viewport,
-        floors: Floors,
+        floors: Floors,  # shape (n,); of the drawn pieces
         *,
         exaggeration: float,
-        reach: float,
+        reach: float,  # depth of the furthest piece, metres
+        # how far drawn surfaces may be below those of `floors`, per metre of distance
         margin: float,
     ) -> Self:
-        """Return the horizon of an eye above the ground.
-
-        Parameters
-        ----------
-        floors : ndarray of FLOORS, shape (n,)
-            Of the drawn pieces.
-        reach : float
-            Depth of the furthest piece, metres.
-        margin : float
-            How far drawn surfaces may be below those of `floors`, per metre of distance.
-        """
+        """Return the horizon of an eye above the ground."""
         aim = _aim_of(camera, viewport, reach, margin)
         if aim is None or not len(floors):
             return cls.none()
@@ -181,25 +172,14 @@ def is_below(slopes, aim, low_x, low_y, high_x, high_y, high_z):
 
 
 def floors_of(
+    # lower limits of the surface in metres, at samples of a piece and up to `OVERLAP` around it;
+    # -inf in voids
     heights: NDArray[np.float64],
-    matrix: NDArray[np.float64],
-    cells: tuple[int, int],
-    ring: tuple[int, int],
+    matrix: NDArray[np.float64],  # shape (6,); positions of samples, counted from the first
+    cells: tuple[int, int],  # between samples of the piece, rows and columns
+    ring: tuple[int, int],  # rows and columns of samples before the piece's own first ones
 ) -> Floors:
-    """Return the floors of samples, FLOORS without a dimension.
-
-    Parameters
-    ----------
-    heights : ndarray of float64, 2-D
-        Lower limits of the surface in metres, at samples of a piece and up to `OVERLAP` around it;
-        -inf in voids.
-    matrix : ndarray of float64, shape (6,)
-        Positions of samples, counted from the first.
-    cells : tuple of int
-        Between samples of the piece, rows and columns.
-    ring : tuple of int
-        Rows and columns of samples before the piece's own first ones.
-    """
+    """Return the floors of samples, FLOORS without a dimension."""
     edges = []
     for n, before, most in zip(cells, ring, heights.shape, strict=True):
         ends = before + np.linspace(0, n, SIDE + 1).round().astype(np.intp)

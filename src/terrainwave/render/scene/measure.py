@@ -20,27 +20,14 @@ _MOST_SAMPLES = 2048
 
 
 class Profile(NamedTuple):
-    """Heights along a line of points, straight between them in the file's coordinates.
+    """Heights along a line of points, straight between them in the file's coordinates."""
 
-    Parameters
-    ----------
-    places : ndarray of float64, shape (n, 2)
-        x, y in the file's coordinates.
-    distances : ndarray of float64, shape (n,)
-        Metres from the first, on the ellipsoid or the map, without heights.
-    heights : ndarray of float64, shape (n,)
-        In the file's unit; NaN in voids and outside.
-    metres_per_height : float
-        Metres per unit of height; negative for depths.
-    word : str
-        Their meaning: ``height``, ``depth`` or ``radius``.
-    """
-
-    places: NDArray[np.float64]
+    places: NDArray[np.float64]  # shape (n, 2); x, y in the file's coordinates
+    # shape (n,); metres from the first, on the ellipsoid or the map, without heights
     distances: NDArray[np.float64]
-    heights: NDArray[np.float64]
-    metres_per_height: float
-    word: str = "height"
+    heights: NDArray[np.float64]  # shape (n,); in the file's unit; NaN in voids and outside
+    metres_per_height: float  # metres per unit of height; negative for depths
+    word: str = "height"  # their meaning: ``height``, ``depth`` or ``radius``
 
     @property
     def upwards(self) -> NDArray[np.float64]:
@@ -139,7 +126,6 @@ def describe_place(terrain: "TerrainFile", x: float, y: float, height: float) ->
 
 
 def describe_profile(terrain: "TerrainFile", profile: Profile) -> list[str]:
-    """Return lengths and heights as lines."""
     lines = [
         f"{distance_text(profile.horizontal)} horizontal,"
         f" {distance_text(profile.along_surface)} along the surface"

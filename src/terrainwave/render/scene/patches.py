@@ -45,44 +45,32 @@ class Cancelled(Exception):
     """A patch that is no longer wanted."""
 
 
-class Patch(NamedTuple):
-    """A piece to draw.
+def go_on(is_cancelled: Callable[[], bool]) -> None:
+    """Raise `Cancelled` if work is no longer wanted."""
+    if is_cancelled():
+        raise Cancelled
 
-    Parameters
-    ----------
-    vertices : structured ndarray of VERTEX
-    triangles : ndarray of uint32, shape (n, 3)
-        The surface's, then those of skirts.
-    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 3)
-        Metres per metre to the east and to the north at the block's samples and around them.
-    base : float
-        Height of z = 0, metres.
-    error : float
-        Used for selection: no valid original is further from the surface, metres; with
-        `PatchBuilder.is_loose`, from the guaranteed surface.
-    drawn_error : float
-        No valid original is further from the drawn surface, metres.
-    morph : float
-        Largest distance between the surface and its parent's at vertices, metres.
-    children : list of NodeInfo
-    floors : Floors
-        Lower limits of the surface, within `drawn_error`.
-    """
+
+class Patch(NamedTuple):
+    """A piece to draw."""
 
     piece: Piece
-    vertices: NDArray[np.void]
-    triangles: NDArray[np.uint32]
+    vertices: NDArray[np.void]  # of VERTEX
+    triangles: NDArray[np.uint32]  # shape (n, 3); the surface's, then those of skirts
+    # shape (n_rows + 2, n_cols + 2, 3); metres per metre to the east and to the north at the
+    # block's samples and around them
     slopes: NDArray[np.float16]
-    base: float
+    base: float  # height of z = 0, metres
+    # used for selection: no valid original is further from the surface, metres; with
+    # `PatchBuilder.is_loose`, from the guaranteed surface
     error: float
-    drawn_error: float
-    morph: float
+    drawn_error: float  # no valid original is further from the drawn surface, metres
+    morph: float  # largest distance between the surface and its parent's at vertices, metres
     children: list[NodeInfo]
-    floors: Floors
+    floors: Floors  # lower limits of the surface, within `drawn_error`
 
     @property
     def n_triangles(self) -> int:
-        """Return the number of drawn triangles, including skirts."""
         return len(self.triangles)
 
     @property
@@ -91,27 +79,19 @@ class Patch(NamedTuple):
 
 
 class PatchBuilder:
-    """Patches of a terrain's blocks. Thread-safe.
-
-    Parameters
-    ----------
-    frame : Frame
-        Local metres; its exaggeration is not used: the GPU applies it.
-    recursive : list of ndarray, optional
-        Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
-        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes, or
-        else bounds that are known once meshes are built (`mesh.blocks`).
-    is_loose : bool
-        Blocks above the finest level are drawn with meshes without a guarantee (`mesh.loose`),
-        whose errors are known once they are built.
-    """
+    """Patches of a terrain's blocks. Thread-safe."""
 
     def __init__(
         self,
         terrain: "TerrainFile",
-        frame: Frame,
+        frame: Frame,  # local metres; its exaggeration is not used: the GPU applies it
         *,
+        # Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
+        # Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes, or
+        # else bounds that are known once meshes are built (`mesh.blocks`).
         recursive: list[NDArray[np.float64]] | None = None,
+        # blocks above the finest level are drawn with meshes without a guarantee (`mesh.loose`),
+        # whose errors are known once they are built
         is_loose: bool = False,
     ) -> None:
         self._terrain = terrain
@@ -128,18 +108,15 @@ class PatchBuilder:
     # From the index
 
     def roots(self) -> list[NodeInfo]:
-        """Return the root blocks."""
         return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return the children of a piece: its next variant, or the blocks one level finer."""
         if piece.variant:
             return [self.info(piece._replace(variant=piece.variant - 1))]
         error = self.error(piece)
         return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
 
     def parent(self, piece: Piece) -> Piece | None:
-        """Return the parent of a piece, None for a root."""
         if piece.level == self._terrain.n_levels - 1:
             next_one = piece._replace(variant=piece.variant + 1)
             above = Piece(*piece.block.parent) if piece.level else None
@@ -173,25 +150,16 @@ class PatchBuilder:
         return own << _VARIANT_BITS * variant
 
     def info(self, piece: Piece) -> NodeInfo:
-        """Return box and error of a piece."""
         block = piece.block
         region = self._terrain.grid.full_region(block)
-        rows = np.array([region.row, region.row + region.n_rows - 1])
-        cols = np.array([region.col, region.col + region.n_cols - 1])
-        xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         error = self.error(piece)
         low, high = sorted(map(self._frame.to_metres, self._terrain.block_box(block)))
-        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-        return NodeInfo(
-            piece,
-            (float(left), float(bottom), low - error),
-            (float(right), float(top), high + error),
-            error,
-            self._frame.spacing * self._terrain.grid.stride(block.level),
-        )
+        (left, bottom), (right, top) = self._frame.sides_of(region)
+        spacing = self._frame.spacing * self._terrain.grid.stride(block.level)
+        ends = (left, bottom, low - error), (right, top, high + error)
+        return NodeInfo(piece, *ends, error, spacing)
 
     def error(self, piece: Piece) -> float:
-        """Return the stated error of a piece, in metres."""
         if piece.variant:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
@@ -229,7 +197,6 @@ class PatchBuilder:
     # Patches
 
     def mesh(self, piece: Piece) -> BlockMesh:
-        """Return the mesh of a piece, through a cache."""
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
     def _triangulate(self, piece: Piece) -> BlockMesh:
@@ -252,20 +219,15 @@ class PatchBuilder:
         CorruptStreamError
             If the file is damaged there.
         """
-
-        def check() -> None:
-            if is_cancelled():
-                raise Cancelled
-
         block = piece.block
         children = self.children(piece)
-        check()
+        go_on(is_cancelled)
         mesh = self.mesh(piece)
-        check()
+        go_on(is_cancelled)
         z = self._scale.metres(mesh.heights / (1 << FRACTION_BITS))
         base = float(z.min() + z.max()) / 2 if len(z) else 0.0
         z_parent = self._parent_heights(piece, mesh, z)
-        check()
+        go_on(is_cancelled)
         vertices = np.empty(len(z), dtype=VERTEX)
         vertices["col"], vertices["row"] = mesh.cols, mesh.rows
         vertices["z"], vertices["z_parent"] = z - base, z_parent - base

@@ -20,18 +20,10 @@ _LEAST_SLOPE, _LARGEST_HEIGHT = 2.0**-14, 6e4
 
 @dataclass(frozen=True)
 class HeightScale:
-    """Metres, without exaggeration, of decoded quanta.
+    """Metres, without exaggeration, of decoded quanta."""
 
-    Parameters
-    ----------
-    per_quantum : float
-        Negative if the raster's scale is.
-    zero : float
-        Metres of quantum 0.
-    """
-
-    per_quantum: float
-    zero: float
+    per_quantum: float  # negative if the raster's scale is
+    zero: float  # metres of quantum 0
 
     @classmethod
     def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
@@ -59,7 +51,6 @@ class HeightTexels:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
-        """Return the conversion for the heights of a frame."""
         low, high = frame.height_range
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)
@@ -86,27 +77,16 @@ class Texels:
 
     def of(
         self,
-        samples: tuple[NDArray[Any], NDArray[np.bool_]],
+        samples: tuple[NDArray[Any], NDArray[np.bool_]],  # quanta of a level, and validity
+        # row and column in them at which the texture begins; may be negative
         first: tuple[int, int],
+        # rows and columns for which the texture has values of its own; the nearest of these are
+        # repeated
         inner: tuple[int, int],
-        shape: tuple[int, int],
-        stride: int,
+        shape: tuple[int, int],  # of the texture
+        stride: int,  # samples of the full grid between two
     ) -> NDArray[np.float16]:
         """Return a texture of a part of samples.
-
-        Parameters
-        ----------
-        samples : tuple of ndarray, 2-D
-            Quanta of a level, and validity.
-        first : tuple of int
-            Row and column in them at which the texture begins; may be negative.
-        inner : tuple of int
-            Rows and columns for which the texture has values of its own; the nearest of these are
-            repeated.
-        shape : tuple of int
-            Of the texture.
-        stride : int
-            Samples of the full grid between two.
 
         Returns
         -------

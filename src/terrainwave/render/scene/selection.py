@@ -91,41 +91,26 @@ class Built(Protocol):
 
 @dataclass(frozen=True)
 class View:
-    """Camera, size of the picture, and the definition of errors on screen.
-
-    Parameters
-    ----------
-    max_pixel_error : float
-        τ, pixels; 0 selects the finest blocks everywhere.
-    gamma_of : callable
-        Returns γ of a camera and a viewport; by default one that is valid in the corners too.
-    exaggeration : float
-        Factor of heights.
-    is_oriented : bool
-        Errors, being vertical, count less when seen steeply from above.
-    is_exact : bool
-        Errors count by each block's position in the picture (`node_scale`), not by one γ for all of
-        it.
-    flatness : float
-        Errors below this multiple of τ are accepted if a piece has a sample for each pixel
-        (`Scene.view`); 1: none are.
-    horizon : Horizon
-        The camera's: pieces below it are hidden; by default none are.
-    """
+    """Camera, size of the picture, and the definition of errors on screen."""
 
     camera: Camera
     viewport: Viewport
-    max_pixel_error: float = 1.0
+    max_pixel_error: float = 1.0  # τ, pixels; 0 selects the finest blocks everywhere
+    # returns γ of a camera and a viewport; by default one that is valid in the corners too
     gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
-    exaggeration: float = 1.0
-    is_oriented: bool = False
+    exaggeration: float = 1.0  # factor of heights
+    is_oriented: bool = False  # errors, being vertical, count less when seen steeply from above
+    # errors count by each block's position in the picture (`node_scale`), not by one γ for all of
+    # it
     is_exact: bool = False
+    # errors below this multiple of τ are accepted if a piece has a sample for each pixel
+    # (`Scene.view`); 1: none are
     flatness: float = 1.0
+    # the camera's: pieces below it are hidden; by default none are
     horizon: Horizon = field(default_factory=Horizon.none, compare=False)
 
     @cached_property
     def gamma(self) -> float:
-        """Return γ of ``error on screen = γ · error / distance``."""
         return self.gamma_of(self.camera, self.viewport)
 
     @cached_property
@@ -168,7 +153,6 @@ class View:
 
     @cached_property
     def planes(self) -> NDArray[np.float64]:
-        """Return the planes of the frustum."""
         return frustum_planes(self.camera, self.viewport)
 
 
@@ -222,7 +206,6 @@ class NodeTable:
             getattr(self, name)[:n] = old[name][:n]
 
     def find(self, piece: Piece) -> int | None:
-        """Return the number of a piece, None if it is unknown."""
         return self._numbers.get(piece)
 
     def add(self, info: NodeInfo, parent: int = -1) -> int:
@@ -249,7 +232,6 @@ class NodeTable:
         return number
 
     def add_children(self, parent: int, infos: list[NodeInfo]) -> None:
-        """Add the children of a node, all at once."""
         if self.is_known[parent]:
             return
         for place, info in enumerate(infos):
@@ -269,13 +251,11 @@ class NodeTable:
             self._floors[node] = built.floors
 
     def forget(self, node: int) -> None:
-        """Record that a piece has left the store."""
         self.is_resident[node] = False
         self._floors.pop(node, None)
 
     @property
     def n_known(self) -> int:
-        """Return how many pieces are known."""
         return len(self._numbers)
 
     def forget_children(self, used: Sequence[NDArray[np.int32]]) -> None:
@@ -482,7 +462,6 @@ class ErrorGovernor:
         self.factor = 1.0
 
     def after_frame(self, frame_ms: float) -> None:
-        """Adapt to the duration of the last frame."""
         if self.target_ms is None:
             return
         ratio = frame_ms / self.target_ms

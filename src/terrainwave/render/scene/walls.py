@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.read.resample import fill_voids
 from terrainwave.render.scene.frame import Frame
 
 if TYPE_CHECKING:
@@ -29,18 +30,12 @@ _HAZE_AT_GROUND, _HAZE_ABOVE = 3.3, 1.3
 
 
 class Solid(NamedTuple):
-    """Triangles of walls, floor and lids.
+    """Triangles of walls, floor and lids."""
 
-    Parameters
-    ----------
-    vertices : ndarray of VERTEX, shape (n,)
-        Column and row of the full grid, height in metres without exaggeration (of tops and lids),
-        and the direction outwards in local metres (of walls).
-    triangles : ndarray of uint32, shape (n, 3)
-    """
-
+    # shape (n,); column and row of the full grid, height in metres without exaggeration (of tops
+    # and lids), and the direction outwards in local metres (of walls)
     vertices: NDArray[np.void]
-    triangles: NDArray[np.uint32]
+    triangles: NDArray[np.uint32]  # shape (n, 3)
 
     @property
     def has_lids(self) -> bool:
@@ -49,24 +44,15 @@ class Solid(NamedTuple):
 
 
 class _Overview(NamedTuple):
-    """A level extended to the full grid's last row and column.
+    """A level extended to the full grid's last row and column."""
 
-    Parameters
-    ----------
-    rows, cols : ndarray of float64, shapes (n_rows,) and (n_cols,)
-        Positions of its samples on the full grid.
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; in voids, values between those around.
-    valid : ndarray of bool, shape (n_rows, n_cols)
-    is_full : bool
-        It is the full grid.
-    """
-
+    # positions of its samples on the full grid
     rows: NDArray[np.float64]
     cols: NDArray[np.float64]
+    # shape (n_rows, n_cols); metres; in voids, values between those around
     heights: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-    is_full: bool
+    valid: NDArray[np.bool_]  # shape (n_rows, n_cols)
+    is_full: bool  # it is the full grid
 
 
 def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
@@ -131,31 +117,8 @@ def _read_overview(terrain: "TerrainFile", frame: Frame) -> _Overview:
     beyond = (0, len(rows) - heights.shape[0]), (0, len(cols) - heights.shape[1])
     heights, valid = np.pad(heights, beyond, mode="edge"), np.pad(valid, beyond, mode="edge")
     return _Overview(
-        rows, cols, fill_voids(heights, valid), valid, level == terrain.n_levels - 1
+        rows, cols, fill_voids(heights, valid, _SMOOTHINGS), valid, level == terrain.n_levels - 1
     )  # fmt: skip
-
-
-def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return a copy of heights with voids filled between the valid ones around, within their range.
-
-    Means of 2 x 2 samples are filled first, and so on; each step ends with a few of Jacobi's, which
-    make a membrane of the filled part. Without valid samples, heights are unchanged.
-    """
-    if valid.all() or not valid.any():
-        return heights.copy()
-    padding = tuple((0, n % 2) for n in heights.shape)
-    n_rows, n_cols = ((n + 1) // 2 for n in heights.shape)
-    fours = np.pad(valid, padding).reshape(n_rows, 2, n_cols, 2)
-    counts = fours.sum(axis=(1, 3))
-    sums = (np.pad(heights, padding).reshape(fours.shape) * fours).sum(axis=(1, 3))
-    coarse = fill_voids(sums / np.maximum(counts, 1), counts > 0)
-    filled = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)
-    filled = np.where(valid, heights, filled[: heights.shape[0], : heights.shape[1]])
-    for _ in range(_SMOOTHINGS):
-        around = np.pad(filled, 1, mode="edge")
-        mean = (around[:-2, 1:-1] + around[2:, 1:-1] + around[1:-1, :-2] + around[1:-1, 2:]) / 4
-        filled = np.where(valid, heights, mean)
-    return filled
 
 
 def _vertices(col: Any, row: Any, height: Any, kind: float, normal: Any = 0.0) -> NDArray[np.void]:

@@ -60,7 +60,6 @@ class FlightRecorder:
 
     @property
     def seconds(self) -> float:
-        """Return the duration of the recording."""
         return self._seconds
 
     def to_json(self) -> str:

@@ -58,15 +58,6 @@ class Controls:
     """Camera and style of a viewer, changed by keys and mouse.
 
     Keys are names: letters, ``tab``, ``home``, ``shift`` and so on.
-
-    Attributes
-    ----------
-    pace : float
-        Of flying: shares of the height above the ground, per second.
-    height_over_ground : float, optional
-        Local metres; None while unknown.
-    wishes : list of str
-        Requests of keys to others, in order; removed by the one who fulfils them.
     """
 
     def __init__(self, scene: Scene, camera: Camera, style: Style, max_pixel_error: float) -> None:
@@ -78,9 +69,10 @@ class Controls:
         self.shows_help = False
         self.is_closing = False
         self.is_measuring = False
+        # requests of keys to others, in order; removed by the one who fulfils them
         self.wishes: list[str] = []
-        self.pace = _FIRST_PACE
-        self.height_over_ground: float | None = None
+        self.pace = _FIRST_PACE  # of flying: shares of the height above the ground, per second
+        self.height_over_ground: float | None = None  # local metres; None while unknown
         low, high = scene.frame.box
         self._extent = float(np.linalg.norm(high - low))
         self._dragged = 0.0  # pixels since a button went down
@@ -95,7 +87,6 @@ class Controls:
         return self.pace * min(max(height, _LEAST_HEIGHT), self._extent)
 
     def press(self, key: str, viewport: Viewport) -> None:
-        """Handle a pressed key."""
         self._held.add(key)
         scene, box = self._scene, self._scene.frame.box
         if key == "escape":
@@ -139,7 +130,6 @@ class Controls:
             self.wishes.append(_WISHES[key])
 
     def _move_sun(self, sign: int) -> None:
-        """Turn the sun, or with Shift raise or lower it."""
         azimuth, altitude = self.style.sun
         if "shift" in self._held:
             altitude = min(max(altitude + 5 * sign, _LOWEST_SUN), _HIGHEST_SUN)
@@ -148,7 +138,6 @@ class Controls:
         self.style = replace(self.style, sun=(azimuth, altitude))
 
     def release(self, key: str) -> None:
-        """Handle a released key."""
         self._held.discard(key)
 
     def tick(self, seconds: float) -> None:

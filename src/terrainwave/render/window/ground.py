@@ -33,17 +33,13 @@ class Ground:
     """The ground under a moving camera.
 
     It is read in the background. Used by one thread.
-
-    Parameters
-    ----------
-    table : NodeTable, optional
-        Of blocks: the ground is that of the drawn level, which needs almost no decoding or
-        fetching. By default it is that of the finest level.
     """
 
     def __init__(
         self,
         terrain: "TerrainFile",
+        # of blocks: the ground is that of the drawn level, which needs almost no decoding or
+        # fetching. By default it is that of the finest level.
         table: NodeTable | None,
         background: Background,
         clock: Callable[[], float] = time.monotonic,

@@ -31,34 +31,20 @@ _NOTE_SECONDS = 6.0
 
 
 class Session:
-    """Clicks, measurements, captures and messages. Used by one thread, which never waits.
-
-    Parameters
-    ----------
-    say : callable
-        Called with lines for stdout.
-    radius : float, optional
-        Of the body in metres, for degrees.
-    folder : path
-        Directory for written files.
-
-    Attributes
-    ----------
-    background, slow : Background
-        Work for clicks and keys, and separately for anything slower, so that answers do not wait
-        for it.
-    """
+    """Clicks, measurements, captures and messages. Used by one thread, which never waits."""
 
     def __init__(
         self,
         scene: Scene,
         controls: Controls,
-        say: Callable[[str], None],
+        say: Callable[[str], None],  # called with lines for stdout
         *,
-        radius: float | None = None,
-        folder: str = ".",
+        radius: float | None = None,  # of the body in metres, for degrees
+        folder: str = ".",  # directory for written files
     ) -> None:
         self._scene, self.controls, self._say, self._folder = scene, controls, say, folder
+        # `background, slow`: work for clicks and keys, and separately for anything slower, so that
+        # answers do not wait for it
         self.background, self.slow = Background(), Background()
         table = scene.table if hasattr(scene.mode, "builder") else None
         self._ground = Ground(scene.terrain, table, self.background)
@@ -205,11 +191,9 @@ class Session:
     # Messages
 
     def note(self, line: str) -> None:
-        """Show a line for some seconds."""
         self._notes.append((time.monotonic() + _NOTE_SECONDS, line))
 
     def lines(self, frames: Frames) -> list[str]:
-        """Return the lines below the numbers of the frame."""
         now = time.monotonic()
         self._notes = [(until, line) for until, line in self._notes if until > now]
         lines = self._scene.problems.lines(frames.n_missing)

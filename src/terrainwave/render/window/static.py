@@ -63,7 +63,6 @@ class Picture:
 
 
 def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bounds: Any) -> Any:
-    """Draw a map; see `Terrain.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
     level = -1
@@ -118,7 +117,6 @@ def view(
     max_pixel_error: float,
     **options: Any,
 ) -> Picture | None:
-    """Open a window until it is closed, or return a picture; see `Terrain.view`."""
     from terrainwave.render.window.viewer import run
 
     check_drawable(terrain)

@@ -4,7 +4,7 @@ import os
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +36,6 @@ _NO_WINDOW = (
     " a window needs a display and OpenGL 3.3, on Debian and Ubuntu: apt-get install libgl1"
     " libgl1-mesa-dri libglu1-mesa libx11-6"
 )
-_LEFT, _RIGHT = 1, 2
 
 
 def _display_problem(line: str) -> str:
@@ -114,66 +113,38 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
+# Handlers of a window's events; they get the viewer first.
+_EVENTS: dict[str, Callable[..., None]] = {
+    "on_render": lambda viewer, time, frame_time: viewer.render(frame_time),
+    "on_resize": lambda viewer, width, height: viewer.resize(),
+    "on_key_event": lambda viewer, key, action, modifiers: viewer.key(key, action),
+    "on_mouse_press_event": lambda viewer, x, y, button: viewer.press(x, y),
+    "on_mouse_release_event": lambda viewer, x, y, button: viewer.release(x, y),
+    "on_mouse_drag_event": lambda viewer, x, y, dx, dy: viewer.drag(dx, dy),
+    "on_mouse_position_event": lambda viewer, x, y, dx, dy: viewer.move(x, y),
+    "on_mouse_scroll_event": lambda viewer, x_offset, y_offset: viewer.scroll(y_offset),
+}
+
+
 def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
-    """Return a window's class, with its options and the target of its events.
+    """Return the class of a window with this title, derived from moderngl_window's.
 
     Events also arrive while the window opens (the pointer lies where it appears, a key is down),
     before there is a ``viewer`` to handle them: those are dropped.
-
-    Parameters
-    ----------
-    base : type
-        ``moderngl_window.WindowConfig``, which is imported late.
-    caption : str
-        The window's title.
-    size : tuple of int
-        Width and height in pixels.
     """
 
-    class Config(base):  # type: ignore[misc]
-        gl_version = (3, 3)
-        title = caption
-        window_size = size
-        aspect_ratio = None
-        resizable = True
-        samples = 0
-        clear_color = None
-        log_level = 40
-        viewer: "Viewer | None" = None
+    def handler(name: str) -> Callable[..., None]:
+        def handle(config: Any, *given: Any) -> None:
+            if config.viewer:
+                _EVENTS[name](config.viewer, *given)
 
-        def on_render(self, time: float, frame_time: float) -> None:
-            if self.viewer:
-                self.viewer.render(frame_time)
+        return handle
 
-        def on_resize(self, width: int, height: int) -> None:
-            if self.viewer:
-                self.viewer.resize()
-
-        def on_key_event(self, key: Any, action: Any, modifiers: Any) -> None:
-            if self.viewer:
-                self.viewer.key(key, action == self.wnd.keys.ACTION_PRESS)
-
-        def on_mouse_press_event(self, x: int, y: int, button: int) -> None:
-            if self.viewer:
-                self.viewer.press(x, y)
-
-        def on_mouse_release_event(self, x: int, y: int, button: int) -> None:
-            if self.viewer:
-                self.viewer.release(x, y)
-
-        def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
-            if self.viewer:
-                self.viewer.drag(dx, dy)
-
-        def on_mouse_position_event(self, x: int, y: int, dx: int, dy: int) -> None:
-            if self.viewer:
-                self.viewer.cursor = x, y
-
-        def on_mouse_scroll_event(self, x_offset: float, y_offset: float) -> None:
-            if self.viewer:
-                self.viewer.scroll(y_offset)
-
-    return Config
+    options = {
+        "gl_version": (3, 3), "title": caption, "window_size": size, "aspect_ratio": None,
+        "resizable": True, "samples": 0, "clear_color": None, "log_level": 40, "viewer": None,
+    }  # fmt: skip
+    return type("Config", (base,), options | {name: handler(name) for name in _EVENTS})
 
 
 def _loop(config: Any, viewer: "Viewer") -> None:
@@ -214,7 +185,6 @@ class Viewer:
         self._detail: DrapeDetail | None = None
 
     def render(self, frame_time: float) -> None:
-        """Draw a frame."""
         started = time.perf_counter()
         controls, canvas = self.controls, self._canvas
         size = canvas.viewport.width, canvas.viewport.height
@@ -248,39 +218,37 @@ class Viewer:
         self.overlay.draw()
         canvas.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
 
+    def _start(
+        self,
+        work: Callable[[], Any],
+        show: Callable[[Any], None],
+        note: Callable[[str], None] | None = None,
+    ) -> None:
+        """Show the result of `work` in the background; `note` its problem, by default as a line."""
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                show(outcome.value)
+            else:
+                (note or self._session.note)(outcome.problem)
+
+        self._session.slow.start(work, take)
+
     def _read_drape(self) -> None:
-        """Read the orthophoto in the background, first as a whole, then finer near the camera."""
-        canvas = self._canvas
-        self._wants_drape = False
+        """Read the orthophoto, first as a whole, then finer near the camera."""
+        canvas, self._wants_drape = self._canvas, False
         assert canvas.photo is not None
-        background = self._session.slow
         self._detail = DrapeDetail(
             canvas.photo,
             canvas.drape_texels_per_pixel,
-            background,
+            self._session.slow,
             canvas.renderer.set_detail,
         )
-
-        def take(outcome: Outcome) -> None:
-            if outcome.problem is None:
-                canvas.renderer.set_drape(outcome.value)
-            else:
-                self._session.note(outcome.problem)
-
-        background.start(canvas.read_drape, take)
+        self._start(canvas.read_drape, canvas.renderer.set_drape)
 
     def _read_water(self) -> None:
-        """Find water in the background."""
-        self._wants_water = False
-        scene, renderer = self._canvas.scene, self._canvas.renderer
-
-        def take(outcome: Outcome) -> None:
-            if outcome.problem is None:
-                renderer.set_water(outcome.value)
-            else:
-                self._session.note(outcome.problem)
-
-        self._session.slow.start(lambda: read_water(scene.terrain, scene.frame), take)
+        self._wants_water, scene = False, self._canvas.scene
+        self._start(lambda: read_water(scene.terrain, scene.frame), self._canvas.renderer.set_water)
 
     def _is_at_rest(self, frames: Frames) -> bool:
         """Return whether reading the block under the terrain delays no part of the terrain."""
@@ -292,44 +260,40 @@ class Viewer:
         return has_waited or not (is_remote and frames.n_missing)
 
     def _read_solid(self) -> None:
-        """Read the block under the terrain in the background; again later, if that fails."""
-        self._wants_solid = False
-        scene = self._canvas.scene
+        """Read the block under the terrain; again later, if that fails."""
+        self._wants_solid, scene = False, self._canvas.scene
 
-        def take(outcome: Outcome) -> None:
-            if outcome.problem is None:
-                self._canvas.set_solid(outcome.value)
-            else:
-                self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
+        def wait(_: str) -> None:
+            self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
 
-        self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
+        self._start(lambda: build_solid(scene.terrain, scene.frame), self._canvas.set_solid, wait)
 
     def close(self) -> None:
         self._ink.close()
         self.overlay.release()
 
     def resize(self) -> None:
-        """Follow the window's size."""
         width, height = self._window.buffer_size
         if width > 0 and height > 0:
             self._canvas.resize((width, height))
             self._overlay_time = 0.0
 
-    def key(self, key: Any, is_press: bool) -> None:
-        """Handle a key event."""
+    def key(self, key: Any, action: Any) -> None:
         name = self._keys.get(key)
         if name is None:
             return
-        if is_press:
+        if action == self._window.keys.ACTION_PRESS:
             self.controls.press(name, self._canvas.viewport)
             self._session.grant(self._canvas.grab)
             self._overlay_time = 0.0
         else:
             self.controls.release(name)
 
-    def press(self, x: float, y: float) -> None:
-        """Handle a pressed mouse button."""
+    def move(self, x: float, y: float) -> None:
         self.cursor = int(x), int(y)
+
+    def press(self, x: float, y: float) -> None:
+        self.move(x, y)
         self.controls.grab(self._pick(x, y))
 
     def release(self, x: float, y: float) -> None:
@@ -339,11 +303,9 @@ class Viewer:
             self._overlay_time = 0.0
 
     def drag(self, dx: float, dy: float) -> None:
-        """Handle a movement with a button down."""
         self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
 
     def scroll(self, notches: float) -> None:
-        """Handle the wheel."""
         self.controls.scroll(notches, self._pick(*self.cursor))
 
     def _pick(self, x: float, y: float) -> Any:

@@ -50,7 +50,7 @@ from terrainwave.tri.dynamic.haar import (
     HaarTree,
     build_tree,
 )
-from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
+from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
 from terrainwave.tri.scratch import Scratch
 
 # Fields of a view as an array: position and direction of the eye; focal length; largest distance by
@@ -62,62 +62,21 @@ _FIRST_CAPACITY = 4096
 
 
 class DynamicFrame(NamedTuple):
-    """A mesh for one view.
+    """A mesh for one view; the last four fields are those of `Followed`."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n_vertices, 3)
-        Heights are multiplied by the view's factor.
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Counter-clockwise seen from above; a root's fan is consecutive.
-    nodes : ndarray of int32, shape (n_vertices, 3)
-        Height, row and column of each vertex's node.
-    edges : ndarray of int32, shape (n_edges, 2)
-        Vertices of the edges that end the mesh on open sides.
-    threshold, tau, n_touched, n_changed
-        See `Followed`.
-    """
-
-    vertices: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # shape (n_vertices, 3); heights times the view's factor
+    # shape (n_triangles, 3); counter-clockwise seen from above; a root's fan is consecutive
     triangles: NDArray[np.int32]
-    nodes: NDArray[np.int32]
-    edges: NDArray[np.int32]
+    nodes: NDArray[np.int32]  # shape (n_vertices, 3); height, row and column of each one's node
+    edges: NDArray[np.int32]  # shape (n_edges, 2); vertices of the edges along open sides
     threshold: float
     tau: float
     n_touched: int
     n_changed: int
 
 
-class DynamicMesh:
+class DynamicMesh(FollowingMesh[DynamicFrame]):
     """A raster's mesh that follows a camera.
-
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-    mask : ndarray of bool, same shape, optional
-        True for valid samples; None: all that are finite.
-    sample_matrix : tuple of float
-        (a, b, c, d, e, f): x = a col + b row + c, y = d col + e row + f.
-    patch : int
-        Samples per side of a patch: a power of two.
-    error : {"measured", "paper"}
-        See `haar`: a bound for every sample, with the worst direction and distance of the node's
-        box; or Haar coefficients with the direction to the node, as printed.
-    base_error : float
-        Largest distance of `heights` from the reference of errors; added to measured errors.
-    open_sides, is_surface
-        See `haar.build_tree`.
-    scratch : Scratch, optional
-        Memory that meshes drawn by one thread share.
-
-    Attributes
-    ----------
-    matrix : tuple of float
-        `sample_matrix`.
-    marks : ndarray of uint8, shape (n_nodes,)
-        `INNER`, `ROOT` or, below a root, `BELOW`.
-    has_changed : ndarray of uint8, shape (patch rows, patch columns)
-        Patches with changed marks; cleared by the user of a copy of the marks.
 
     Raises
     ------
@@ -129,38 +88,44 @@ class DynamicMesh:
     `update` costs O(nodes on screen). Used by one thread.
     """
 
+    _least_for = "patch"
+
     def __init__(
         self,
-        heights: NDArray[np.floating],
+        heights: NDArray[np.floating],  # shape (n_rows, n_cols)
         *,
-        mask: NDArray[np.bool_] | None = None,
+        mask: NDArray[np.bool_] | None = None,  # True for valid samples; None: all that are finite
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        patch: int = 256,
+        patch: int = 256,  # samples per side of a patch: a power of two
+        # {"measured", "paper"}; see `haar`: a bound for every sample, with the worst direction and
+        # distance of the node's box; or Haar coefficients with the direction to the node, as
+        # printed
         error: str = "measured",
+        # largest distance of `heights` from the reference of errors; added to measured errors
         base_error: float = 0.0,
+        # `open_sides, is_surface`: see `haar.build_tree`
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
         is_surface: bool = False,
         scratch: Scratch | None = None,
     ) -> None:
+        super().__init__(sample_matrix, scratch)
         self.tree: HaarTree = build_tree(
             heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
         )
+        # shape (n_nodes,); `INNER`, `ROOT` or, below a root, `BELOW`
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
         self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
-        self.matrix = tuple(float(value) for value in sample_matrix)
-        self._is_mirrored = self.matrix[0] * self.matrix[4] < self.matrix[1] * self.matrix[3]
-        self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
+        # shape (patch rows, patch columns); patches with changed marks; cleared by the user of a
+        # copy of the marks
         self.has_changed: NDArray[np.uint8] = np.ones(
             tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
         )
-        self._n_vertices = 0
         self._is_marked = False
-        self._pressure = Pressure()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -170,60 +135,13 @@ class DynamicMesh:
 
     @property
     def n_nodes(self) -> int:
-        """Return the number of nodes of all heights."""
         return len(self.marks)
 
     @property
     def least_vertices(self) -> int:
-        """Return the smallest number of vertices in a view: one per patch."""
         return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
 
     # One frame
-
-    def follow(
-        self,
-        eye: Eye,
-        tau: float,
-        *,
-        morph: float = 1.0,
-        max_vertices: int | None = None,
-        is_stepwise: bool = False,
-    ) -> Followed:
-        """Update the marks for a view, which suffices if the GPU moves vertices itself.
-
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to their parents' positions while those have errors of τ / λ … τ.
-            1: they jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
-            are divided in any case.
-        is_stepwise : bool
-            Change by one height at most, as in the paper, except for the first view and if the
-            budget requires more; the mesh may lag behind the view.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
-        """
-        check_update(tau, morph)
-        check_budget(max_vertices, self.least_vertices, "patch")
-        view = self._view(eye)
-        self._pressure.relieve()
-        n_touched, n_changed, largest = self._mark(view, eye.planes, tau / morph, is_stepwise)
-        while (
-            max_vertices is not None and self._n_vertices > max_vertices and self._pressure.rise()
-        ):
-            *more, largest = self._mark(view, eye.planes, tau / morph, False)
-            n_touched, n_changed = n_touched + more[0], n_changed + more[1]
-        used = tau * self._pressure.factor
-        return Followed(
-            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
-        )
 
     def largest_error(self, eye: Eye, followed: Followed) -> float:
         """Return the largest vertical distance of the drawn mesh in view from `heights`.
@@ -239,42 +157,20 @@ class DynamicMesh:
         return error
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
-        """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
         (frame,) = draw_together([ForestPart(self, followed)], eye)
         return frame
 
-    def update(
-        self,
-        eye: Eye,
-        tau: float,
-        *,
-        morph: float = 1.0,
-        max_vertices: int | None = None,
-        is_stepwise: bool = False,
-    ) -> DynamicFrame:
-        """Return the mesh for a view: `follow`, whose arguments these are, and `draw`."""
-        return self.draw(
-            eye,
-            self.follow(eye, tau, morph=morph, max_vertices=max_vertices, is_stepwise=is_stepwise),
-        )
-
-    def _mark(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
-    ) -> tuple[int, int, float]:
-        """Update the marks; return the numbers of touched and changed nodes.
-
-        And the largest error on screen of roots that need further division, 0 without any.
-        """
-        tree, tau = self.tree, tau * self._pressure.factor
+    def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:  # noqa: ARG002
+        tree, view, planes = self.tree, self._view(eye), eye.planes
         if not self._is_marked:
             self._is_marked = True
-            mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
+            mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, threshold, self.marks)
             self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
             self.has_changed[...] = True
             return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
         walk = step_top_down if is_stepwise else settle_top_down
         n_touched, n_changed, n_more, largest = walk(
-            tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks,
+            tree.layout, tree.z, tree.bounds, view, planes, threshold, self._stack, self.marks,
             self.has_changed,
         )  # fmt: skip
         self._n_vertices += n_more
@@ -319,25 +215,14 @@ class DynamicMesh:
 
 
 class ForestPart(NamedTuple):
-    """A mesh among others of the same samples, next to each other.
+    """A mesh among others of the same samples, next to each other."""
 
-    Parameters
-    ----------
-    mesh : DynamicMesh
-        All have trees of one size, arranged in the plane like their trees.
-    followed : Followed
-        What `follow` returned.
-    first : tuple of int
-        Row and column of its first tree, from a common origin.
-    owned : tuple of slice
-        Rows and columns of the trees that only this mesh draws. Adjacent ones are drawn where no
-        mesh owns a tree. Measured errors equal those of a single mesh if the mesh has the trees
-        next to these, too.
-    """
-
-    mesh: DynamicMesh
-    followed: Followed
-    first: tuple[int, int] = (0, 0)
+    mesh: DynamicMesh  # all have trees of one size, arranged in the plane like their trees
+    followed: Followed  # what `follow` returned
+    first: tuple[int, int] = (0, 0)  # row and column of its first tree, from a common origin
+    # rows and columns of the trees that only this mesh draws. Adjacent ones are drawn where no mesh
+    # owns a tree. Measured errors equal those of a single mesh if the mesh has the trees next to
+    # these, too.
     owned: tuple[slice, slice] = (slice(None), slice(None))
 
 
@@ -379,7 +264,7 @@ def draw_together(parts: list[ForestPart], eye: Eye) -> list[DynamicFrame]:
         # Neighbours along all sides may be samples.
         capacity = 2 * (len(own_nodes) + 2 * int(layout[0, N_ROWS:].sum()) + 8)
         room = mesh._scratch.take("triangles", (capacity, 3), np.int32)
-        n = draw_fans(forest, own_nodes, mesh._is_mirrored, mesh._stack, room)
+        n = draw_fans(forest, own_nodes, mesh.is_mirrored, mesh._stack, room)
         edges = mesh._scratch.take("edges", (4 * n, 2), np.int32)
         n, n_ends, n_gone = leave_rings(room[:n], is_ring, edges)
         triangles.append(room[:n].copy())
@@ -434,7 +319,6 @@ def _moved(nodes: NDArray[np.int32], top: int, row: int, col: int) -> NDArray[np
 
 
 def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[np.int32]:
-    """Return the edges of `fill_rim`."""
     if not any(open_sides):
         return np.empty((0, 3), dtype=np.int32)
     is_here = np.pad(forest.owners != NOBODY, 1)

@@ -25,27 +25,16 @@ _DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
 
 
 class Forest(NamedTuple):
-    """The trees of adjacent meshes, all of one size. Rows and columns count over all of them.
+    """The trees of adjacent meshes, all of one size. Rows and columns count over all of them."""
 
-    Parameters
-    ----------
-    owners : ndarray of int32, shape (n_tree_rows, n_tree_cols)
-        The mesh that draws a tree, or `NOBODY`.
-    is_ring : ndarray of bool, same shape
-        Trees around those that meshes own.
-    places : ndarray of int64, shape (n_meshes, top + 1, 2)
-        For each height the number of the forest's first node, and the increment to the next row.
-    marks : ndarray of uint8, shape (n_nodes,)
-        Of the nodes of all meshes.
-    vertex_of : ndarray of int32, shape (n_nodes,)
-        For roots; `VOID` for void ones.
-    """
-
+    # shape (n_tree_rows, n_tree_cols); the mesh that draws a tree, or `NOBODY`
     owners: NDArray[np.int32]
-    is_ring: NDArray[np.bool_]
+    is_ring: NDArray[np.bool_]  # same shape; trees around those that meshes own
+    # shape (n_meshes, top + 1, 2); for each height the number of the forest's first node, and the
+    # increment to the next row
     places: NDArray[np.int64]
-    marks: NDArray[np.uint8]
-    vertex_of: NDArray[np.int32]
+    marks: NDArray[np.uint8]  # shape (n_nodes,); of the nodes of all meshes
+    vertex_of: NDArray[np.int32]  # shape (n_nodes,); for roots; `VOID` for void ones
 
 
 def forest_of(
@@ -98,7 +87,6 @@ def forest_of(
 
 
 def _wider(part: slice) -> slice:
-    """Return a slice with one more at each end."""
     return part if part == slice(None) else slice(max(part.start - 1, 0), part.stop + 1)
 
 

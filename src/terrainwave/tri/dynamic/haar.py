@@ -48,28 +48,16 @@ _ROUNDING = 2.0**-23
 
 
 class HaarTree(NamedTuple):
-    """A forest of quadtrees; nodes are numbered height by height, row by row.
+    """A forest of quadtrees; nodes are numbered height by height, row by row."""
 
-    Parameters
-    ----------
-    layout : ndarray of int64, shape (top + 1, 3)
-        First node, rows and columns of nodes of each height; 0 are the samples.
-    z : ndarray of float32, shape (n_nodes,)
-        Mean heights; NaN where all samples are void.
-    bounds : ndarray of float32, shape (n_nodes - layout[1, 0], 3)
-        Of nodes of height 1 and more: error, or `OUTLINE`; lowest and highest of what its error
-        compares.
-    reach : float
-        Half the width of a node's box, in widths of its cell.
-    rounding : float
-        Largest difference between a height and its float32.
-    """
-
+    # shape (top + 1, 3); first node, rows and columns of nodes of each height; 0 are the samples
     layout: NDArray[np.int64]
-    z: NDArray[np.float32]
+    z: NDArray[np.float32]  # shape (n_nodes,); mean heights; NaN where all samples are void
+    # shape (n_nodes - layout[1, 0], 3); of nodes of height 1 and more: error, or `OUTLINE`; lowest
+    # and highest of what its error compares
     bounds: NDArray[np.float32]
-    reach: float
-    rounding: float
+    reach: float  # half the width of a node's box, in widths of its cell
+    rounding: float  # largest difference between a height and its float32
 
     @property
     def top(self) -> int:

@@ -113,7 +113,6 @@ def triangulate(
 
 
 def _leash_of(leash: int | None, scale: FixedPoint) -> float:
-    """Return a leash in the unit of values."""
     return math.inf if leash is None else float(leash >> (FRACTION_BITS - scale.bits))
 
 

@@ -24,26 +24,16 @@ _FREE, _FIXED, _OUTLINE = 0, 1, 2
 
 
 def simplify(
-    mesh: BlockMesh,
+    mesh: BlockMesh,  # within the tolerance already
+    # `heights, mask`: shape (n_rows, n_cols); decoded heights in quanta and validity; the mesh
+    # begins at sample (0, 0)
     heights: NDArray[np.int32],
     mask: NDArray[np.bool_],
-    tolerance: int,
-    n_sweeps: int,
+    tolerance: int,  # in 1/16 quanta
+    n_sweeps: int,  # number of sweeps over all vertices; they end early when one changes nothing
     min_thickness: float = _MIN_THICKNESS,
 ) -> BlockMesh:
-    """Return a mesh of the same samples with fewer triangles, within the same tolerance.
-
-    Parameters
-    ----------
-    mesh : BlockMesh
-        Within the tolerance already.
-    heights, mask : ndarray, shape (n_rows, n_cols)
-        Decoded heights in quanta and validity; the mesh begins at sample (0, 0).
-    tolerance : int
-        In 1/16 quanta.
-    n_sweeps : int
-        Number of sweeps over all vertices; they end early when one changes nothing.
-    """
+    """Return a mesh of the same samples with fewer triangles, within the same tolerance."""
     if not len(mesh.triangles):
         return mesh
     values, scale = scaled_heights(heights, mask, tolerance)

@@ -33,27 +33,16 @@ Selection = NDArray[np.uint8]
 
 
 def select_vertices(
+    # shape (n_rows, n_cols); decoded heights in quanta, within ±2**30; 1 to 4097 samples a side
     heights: NDArray[np.int32],
-    mask: NDArray[np.bool_],
-    tolerance: int,
+    mask: NDArray[np.bool_],  # True for valid samples
+    tolerance: int,  # in 1/16 quanta; >= 0
     *,
-    keep: Keep | None = None,
+    keep: Keep | None = None,  # samples that must be vertices besides those at voids
+    # magnitudes in quanta: vertices are selected by them, and the tolerance is not guaranteed
     coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
     """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh.
-
-    Parameters
-    ----------
-    heights : ndarray of int32, shape (n_rows, n_cols)
-        Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side.
-    mask : ndarray of bool, same shape
-        True for valid samples.
-    tolerance : int
-        In 1/16 quanta; >= 0.
-    keep : ndarray of bool, same shape, optional
-        Samples that must be vertices besides those at voids.
-    coefficients : ndarray of int64, same shape, optional
-        Magnitudes in quanta: vertices are selected by them, and the tolerance is not guaranteed.
 
     Returns
     -------

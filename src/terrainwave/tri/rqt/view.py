@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.followed import CLOSED, Eye, Followed, Pressure, check_budget, check_update
+from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
 from terrainwave.tri.rqt.morph import number_vertices, place_vertices
 from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.rqt.vertex_errors import (
@@ -63,62 +63,22 @@ _ROOM = 4 * _MOST_DEPENDENCIES  # for dependents of one vertex
 
 
 class RestrictedFrame(NamedTuple):
-    """A mesh for one view.
+    """A mesh for one view."""
 
-    Parameters
-    ----------
-    vertices : ndarray of float64, shape (n_vertices, 3)
-        Heights are multiplied by the view's factor.
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Counter-clockwise seen from above.
-    places : ndarray of int32, shape (n_vertices, 2)
-        Row and column of each vertex's sample.
-    edges : ndarray of int32, shape (n_edges, 2)
-        Vertices of the edges along open sides.
-    border_error : float
-        Vertical distance of edges in view from the samples on them.
-    n_active : int
-        Vertices of the quadtree, including those in voids.
-    n_touched : int
-        Vertices whose error on screen was computed.
-    n_changed : int
-        Vertices that were split or merged.
-    tau : float
-        Pixels; above the requested one if the budget requires it.
-    """
-
+    # shape (n_vertices, 3); heights are multiplied by the view's factor
     vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    places: NDArray[np.int32]
-    edges: NDArray[np.int32]
-    border_error: float
-    n_active: int
-    n_touched: int
-    n_changed: int
-    tau: float
+    triangles: NDArray[np.int32]  # shape (n_triangles, 3); counter-clockwise seen from above
+    places: NDArray[np.int32]  # shape (n_vertices, 2); row and column of each vertex's sample
+    edges: NDArray[np.int32]  # shape (n_edges, 2); vertices of the edges along open sides
+    border_error: float  # vertical distance of edges in view from the samples on them
+    n_active: int  # vertices of the quadtree, including those in voids
+    n_touched: int  # vertices whose error on screen was computed
+    n_changed: int  # vertices that were split or merged
+    tau: float  # pixels; above the requested one if the budget requires it
 
 
-class RestrictedMesh:
+class RestrictedMesh(FollowingMesh[RestrictedFrame]):
     """A raster's restricted quadtree that follows a camera.
-
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-        NaN is void.
-    tile : int
-        Cells per side of a tile: a power of two.
-    sample_matrix
-        As for `DynamicMesh`.
-    error : {"measured", "paper", "coefficient"}
-        See the module's docstring.
-    coefficients : ndarray, shape of `heights`, optional
-        Magnitudes of coefficients, in the unit of heights, only for "coefficient".
-    base_error : float
-        Largest distance of the samples' surface from the reference of errors.
-    open_sides : tuple of bool
-        Whether the raster continues beyond its first row and column, its last row and column.
-    scratch : Scratch, optional
-        Memory that meshes drawn by one thread share.
 
     Raises
     ------
@@ -126,18 +86,24 @@ class RestrictedMesh:
         If an argument is invalid.
     """
 
+    _least_for = "corner of a tile"
+
     def __init__(
         self,
-        heights: NDArray[np.floating],
+        heights: NDArray[np.floating],  # shape (n_rows, n_cols); NaN is void
         *,
-        tile: int = 256,
+        tile: int = 256,  # cells per side of a tile: a power of two
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
-        error: str = "measured",
+        error: str = "measured",  # {"measured", "paper", "coefficient"}; see the module's docstring
+        # largest distance of the samples' surface from the reference of errors
         base_error: float = 0.0,
+        # magnitudes of coefficients, in the unit of heights, only for "coefficient"
         coefficients: NDArray[np.floating] | None = None,
+        # whether the raster continues beyond its first row and column, its last row and column
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
         scratch: Scratch | None = None,
     ) -> None:
+        super().__init__(sample_matrix, scratch)
         if tile < 2 or tile & (tile - 1):
             raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
         if np.ndim(heights) != 2 or not np.size(heights):
@@ -166,20 +132,18 @@ class RestrictedMesh:
         padded = n_rows * tile + 1, n_cols * tile + 1
         self._heights = _padded(heights, padded, np.nan)
         self._errors = self._measure(base_error, coefficients)
-        self._matrix = tuple(float(value) for value in sample_matrix)
         self._n_children = np.zeros(padded, dtype=np.uint8)
         self._is_active = np.zeros(padded, dtype=np.bool_)
-        self._scratch = scratch or Scratch()
-        self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
-        self._on_screen = np.empty(0)
-        self._reset()
+        corners = np.indices((n_rows + 1, n_cols + 1)).reshape(2, -1).T * tile
+        self._is_active[corners[:, 0], corners[:, 1]] = True
+        self._active, self._n_vertices = corners.astype(np.int32), len(corners)
+        self._on_screen = np.full(len(corners), np.nan)
+        self._reserve()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
-        self._pressure = Pressure()
 
     def _measure(
         self, base_error: float, coefficients: NDArray[np.floating] | None
     ) -> NDArray[np.float32]:
-        """Return the errors of all vertices."""
         errors = np.zeros_like(self._heights)
         own = np.zeros((0, 0), dtype=np.float32)
         if coefficients is not None:
@@ -194,137 +158,26 @@ class RestrictedMesh:
         widen_everywhere(errors, self.tile)
         return errors
 
-    def _reset(self) -> None:
-        """Merge all vertices except the corners of tiles."""
-        rows, cols = self._active[: self._n_active].T
-        self._is_active[rows, cols] = False
-        self._n_children[rows, cols] = 0
-        corners = np.indices((self.n_tiles[0] + 1, self.n_tiles[1] + 1)).reshape(2, -1).T
-        corners = corners * self.tile
-        self._is_active[corners[:, 0], corners[:, 1]] = True
-        self._active, self._n_active = corners.astype(np.int32), len(corners)
-        self._on_screen = np.full(len(corners), np.nan)
-        self._reserve()
-
     def _reserve(self) -> None:
         """Allocate arrays for twice the active vertices, reused by updates."""
-        capacity = 2 * (self._n_active + _ROOM)
-        active = np.empty((capacity, 2), dtype=np.int32)
-        active[: self._n_active] = self._active[: self._n_active]
-        self._active = active
-        on_screen = np.empty(capacity)
-        on_screen[: self._n_active] = self._on_screen[: self._n_active]
-        self._on_screen = on_screen
+        n = self._n_vertices
+        active, on_screen = self._active[:n], self._on_screen[:n]
+        capacity = 2 * (n + _ROOM)
+        self._active, self._on_screen = np.empty((capacity, 2), dtype=np.int32), np.empty(capacity)
+        self._active[:n], self._on_screen[:n] = active, on_screen
 
     # One frame
 
     @property
     def least_vertices(self) -> int:
-        """Return the smallest number of vertices: the corners of tiles."""
         return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
 
-    def update(
-        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
-    ) -> RestrictedFrame:
-        """Return the mesh for a view, within `tau` pixels.
-
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to their own heights while their errors rise from τ / λ to τ. 1:
-            they jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. Those around the eye
-            are split in any case.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
-        """
-        return self.draw(eye, self.follow(eye, tau, morph=morph, max_vertices=max_vertices))
-
-    def follow(
-        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
-    ) -> Followed:
-        """Split and merge for a view: the first half of `update`, whose arguments these are."""
-        check_update(tau, morph)
-        check_budget(max_vertices, self.least_vertices, "corner of a tile")
-        view, planes = self._view(eye), self._planes(eye)
-        self._pressure.relieve()
-        n_touched = n_changed = 0
-        while True:
-            threshold = tau * self._pressure.factor / morph
-            touched, changed = self._follow(view, planes, threshold, max_vertices)
-            n_touched, n_changed = n_touched + touched, n_changed + changed
-            if max_vertices is None or self._n_active <= max_vertices:
-                break
-            if not self._pressure.rise():
-                break
-        used = tau * self._pressure.factor
-        return Followed(used / morph, used, used, self._n_active, n_touched, n_changed)
-
     def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
-        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
-        view, planes, n = self._view(eye), self._planes(eye), self._n_active
-        scratch = self._scratch
-        vertex_of = scratch.take("vertex_of", self._is_active.shape, np.int32)
-        vertices = scratch.take("vertices", (n, 3), np.float64)
-        places = scratch.take("places", (n, 2), np.int32)
-        triangles = scratch.take("triangles", (2 * n, 3), np.int32)
-        count = self._place(view, planes, followed, vertex_of, vertices, places)
-        a, b, _, d, e, _ = self._matrix
-        n_triangles = draw_triangles(
-            self._heights, self.tile, self._is_active, a * e < b * d, vertex_of, self._stack,
-            triangles,
-        )  # fmt: skip
-        edges, error = self._borders(eye, view, vertex_of, vertices)
-        return RestrictedFrame(
-            vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
-            edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
-        )  # fmt: skip
-
-    def _follow(
-        self,
-        view: NDArray[np.float64],
-        planes: NDArray[np.float64],
-        threshold: float,
-        max_vertices: int | None,
-    ) -> tuple[int, int]:
-        """Merge and split up to the limit; return the numbers of touched and changed vertices."""
-        self._n_active, n_touched, n_changed = merge_vertices(
-            self._errors, self.tile, self._is_active, self._n_children, self._active,
-            self._on_screen, self._n_active, view, planes, threshold,
-        )  # fmt: skip
-        limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
-        done = 0
-        while done < self._n_active <= limit:
-            if self._n_active + _ROOM > len(self._active):
-                self._reserve()
-            done, self._n_active, touched, changed = split_vertices(
-                self._errors, self.tile, self._is_active, self._n_children, self._active,
-                self._on_screen, (done, self._n_active), (limit, threshold), (view, planes),
-                self._stack,
-            )  # fmt: skip
-            n_touched, n_changed = n_touched + touched, n_changed + changed
-        return n_touched, n_changed
-
-    def _place(
-        self,
-        view: NDArray[np.float64],
-        planes: NDArray[np.float64],
-        followed: Followed,
-        vertex_of: NDArray[np.int32],
-        vertices: NDArray[np.float64],
-        places: NDArray[np.int32],
-    ) -> int:
-        """Fill the valid vertices and their samples; return their number."""
-        n, start, end = self._n_active, followed.threshold, followed.tau
-        active = self._active[:n]
-        shares = self._scratch.take("shares", (n,), np.float64)
-        heights = self._scratch.take("heights", (n,), np.float64)
+        view, planes, n = self._view(eye), self._planes(eye), self._n_vertices
+        take, active = self._scratch.take, self._active[:n]
+        start, end = followed.threshold, followed.tau
+        vertex_of = take("vertex_of", self._is_active.shape, np.int32)
+        shares, heights = take("shares", (n,), np.float64), take("heights", (n,), np.float64)
         number_vertices(active, self._heights, vertex_of, heights)
         if end > start:
             fill_shares(
@@ -333,25 +186,44 @@ class RestrictedMesh:
             )  # fmt: skip
         else:
             shares[:] = 1.0
-        count: int = place_vertices(
-            active, vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:], vertices, places
+        vertices, places = take("vertices", (n, 3), np.float64), take("places", (n, 2), np.int32)
+        z_scale, matrix = view[_Z_SCALE], view[_MATRIX:]
+        count = place_vertices(
+            active, vertex_of, shares, heights, z_scale, matrix, vertices, places
         )
-        return count
-
-    def _borders(
-        self,
-        eye: Eye,
-        view: NDArray[np.float64],
-        vertex_of: NDArray[np.int32],
-        vertices: NDArray[np.float64],
-    ) -> tuple[NDArray[np.int32], float]:
-        """Return the edges along open sides, and the distance of those in view from samples."""
-        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
-        n, error = follow_borders(
-            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
-            view[_Z_SCALE], view[_MATRIX:], eye.planes, edges,
+        triangles = take("triangles", (2 * n, 3), np.int32)
+        n_triangles = draw_triangles(
+            self._heights, self.tile, self._is_active, self.is_mirrored, vertex_of, self._stack,
+            triangles,
         )  # fmt: skip
-        return edges[:n].copy(), error
+        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
+        n_edges, error = follow_borders(
+            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
+            z_scale, matrix, eye.planes, edges,
+        )  # fmt: skip
+        return RestrictedFrame(
+            vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
+            edges[:n_edges].copy(), error, followed.n_vertices, followed.n_touched,
+            followed.n_changed, followed.tau,
+        )  # fmt: skip
+
+    def _mark(self, eye: Eye, threshold: float, limit: int, is_stepwise: bool) -> Marked:  # noqa: ARG002
+        view, planes = self._view(eye), self._planes(eye)
+        self._n_vertices, n_touched, n_changed = merge_vertices(
+            self._errors, self.tile, self._is_active, self._n_children, self._active,
+            self._on_screen, self._n_vertices, view, planes, threshold,
+        )  # fmt: skip
+        done = 0
+        while done < self._n_vertices <= limit:
+            if self._n_vertices + _ROOM > len(self._active):
+                self._reserve()
+            done, self._n_vertices, touched, changed = split_vertices(
+                self._errors, self.tile, self._is_active, self._n_children, self._active,
+                self._on_screen, (done, self._n_vertices), (limit, threshold), (view, planes),
+                self._stack,
+            )  # fmt: skip
+            n_touched, n_changed = n_touched + touched, n_changed + changed
+        return n_touched, n_changed, 0.0
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -359,11 +231,10 @@ class RestrictedMesh:
             *self._range(eye), self._is_bound, *self._widths(),
             float(np.abs(eye.forward[:2]) @ self._widths()),
         )  # fmt: skip
-        return np.array([*numbers, *self._matrix], dtype=np.float64)
+        return np.array([*numbers, *self.matrix], dtype=np.float64)
 
     def _widths(self) -> tuple[float, float]:
-        """Return the lengths of a step of rows and columns along x and y."""
-        a, b, _, d, e, _ = self._matrix
+        a, b, _, d, e, _ = self.matrix
         return abs(a) + abs(b), abs(d) + abs(e)
 
     def _range(self, eye: Eye) -> tuple[float, float]:

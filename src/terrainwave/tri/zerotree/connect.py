@@ -36,23 +36,12 @@ class LooseMesh(NamedTuple):
 
 
 def loose_mesh(
-    heights: NDArray[np.int32],
-    mask: NDArray[np.bool_],
-    trees: Trees,
-    keep: Keep | None = None,
+    heights: NDArray[np.int32],  # shape (n_rows, n_cols); decoded heights of the block, in quanta
+    mask: NDArray[np.bool_],  # True for valid samples
+    trees: Trees,  # zero trees of the group that refines the block (`coding.zerotrees`)
+    keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> LooseMesh:
     """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
-
-    Parameters
-    ----------
-    heights : ndarray of int32, shape (n_rows, n_cols)
-        Decoded heights of the block, in quanta.
-    mask : ndarray of bool, same shape
-        True for valid samples.
-    trees : ndarray of uint8, same shape
-        Zero trees of the group that refines the block (`coding.zerotrees`).
-    keep : ndarray of bool, same shape, optional
-        Samples that must be vertices besides those at voids.
 
     Raises
     ------

@@ -38,28 +38,17 @@ _COL_MASK = (1 << _ROW_SHIFT) - 1
 
 
 def guaranteed_cut(
+    # shape (n_rows, n_cols); decoded heights in quanta, within ±2**30; 1 to 4097 samples a side.
+    # Void samples may have any value.
     heights: NDArray[np.int32],
-    mask: NDArray[np.bool_],
-    tolerance: int,
+    mask: NDArray[np.bool_],  # True for valid samples
+    tolerance: int,  # Err_Tri, in 1/16 quanta; >= 0
+    # zero trees of the group that refines the block: the triangulation is nowhere coarser. None
+    # (for blocks of the full grid) omits this condition.
     trees: Trees | None = None,
-    keep: Keep | None = None,
+    keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> Cut:
     """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh.
-
-    Parameters
-    ----------
-    heights : ndarray of int32, shape (n_rows, n_cols)
-        Decoded heights in quanta, within ±2**30; 1 to 4097 samples a side. Void samples may have
-        any value.
-    mask : ndarray of bool, same shape
-        True for valid samples.
-    tolerance : int
-        Err_Tri, in 1/16 quanta; >= 0.
-    trees : ndarray of uint8, same shape, optional
-        Zero trees of the group that refines the block: the triangulation is nowhere coarser. None
-        (for blocks of the full grid) omits this condition.
-    keep : ndarray of bool, same shape, optional
-        Samples that must be vertices besides those at voids.
 
     Returns
     -------

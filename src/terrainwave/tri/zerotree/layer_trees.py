@@ -26,26 +26,16 @@ _REACH = 2
 
 
 def layer_trees(
+    # shape (n_rows, n_cols); the block's decoded heights in quanta, those inside the raster
     heights: NDArray[np.int32],
-    mask: NDArray[np.bool_],
+    mask: NDArray[np.bool_],  # True for valid ones; void samples may have any value
+    # shape (2 * n_rows - 1 or 2 * n_rows, likewise); decoded heights of the next finer level at the
+    # same position
     finer: NDArray[np.int32],
-    finer_mask: NDArray[np.bool_],
-    tolerance: int,
+    finer_mask: NDArray[np.bool_],  # True for valid ones
+    tolerance: int,  # Err_Tri of the block, in 1/16 quanta
 ) -> Trees:
     """Return the zero trees of the difference layer between a block and the group below it.
-
-    Parameters
-    ----------
-    heights : ndarray of int32, shape (n_rows, n_cols)
-        The block's decoded heights in quanta, those inside the raster.
-    mask : ndarray of bool, same shape
-        True for valid ones; void samples may have any value.
-    finer : ndarray of int32, shape (2 * n_rows - 1 or 2 * n_rows, likewise)
-        Decoded heights of the next finer level at the same position.
-    finer_mask : ndarray of bool, shape of `finer`
-        True for valid ones.
-    tolerance : int
-        Err_Tri of the block, in 1/16 quanta.
 
     Returns
     -------
