@@ -366,7 +366,7 @@ def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch)
     monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
     monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
     n_coded = n_kept = 0
-    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.UnitEncoder._encode_kept
+    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.TreeEncoder._encode_kept
 
     def counted(*arguments):
         nonlocal n_coded
@@ -379,7 +379,7 @@ def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch)
         return encode_kept(*arguments)
 
     monkeypatch.setattr(encoder.TreeEncoder, "code_unit", counted)
-    monkeypatch.setattr(encoder.UnitEncoder, "_encode_kept", noted)
+    monkeypatch.setattr(encoder.TreeEncoder, "_encode_kept", noted)
     tw.compress(sea[0], tmp_path / "kept.twz", block=32)
     assert (tmp_path / "kept.twz").read_bytes() == sea[1].read_bytes()
     assert n_kept > 3

@@ -23,7 +23,7 @@ from terrainwave.errors import (
 )
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
-from terrainwave.write.patching import index
+from terrainwave.write.patching import patcher
 from terrainwave.write.patching.patch_encoder import PatchEncoder
 
 NODATA = -32768
@@ -297,7 +297,7 @@ def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path,
         added.append(arguments[5])
         return measure(*arguments)
 
-    monkeypatch.setattr(index, "measure_meshes", noted)
+    monkeypatch.setattr(patcher, "measure_meshes", noted)
     part_of(changed(HEIGHTS, 100, 40), tmp_path / "new.tif", 100, 40, 9, 9)
     measured = terrainwave.store_meshes(moved, tmp_path / "measured.twz")
     patch(measured, tmp_path / "new.tif")
@@ -429,7 +429,7 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     path = placed(2)
     before = path.read_bytes()
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    monkeypatch.setattr(PatchEncoder, "kept", lambda *arguments: None)
+    monkeypatch.setattr(PatchEncoder, "restored", lambda *arguments: None)
     with pytest.raises(BoundViolationError, match="which the new raster does not cover, has moved"):
         patch(path, tmp_path / "new.tif")
     assert path.read_bytes() == before

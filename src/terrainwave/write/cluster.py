@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from terrainwave.codec.refiner import Heights, Mask, Refiner
+from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
@@ -29,14 +29,14 @@ from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.sections import make_sections
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes
+from terrainwave.write.compress_options import Options
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.local import Coded
 from terrainwave.write.passes.bench import AskedRaster, Bench
-from terrainwave.write.passes.proof import Proof, measured_error
+from terrainwave.write.passes.proof import collected, measured_error
 from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
@@ -54,7 +54,6 @@ from terrainwave.write.subtrees import (
     prove_region,
     push_levels,
     scan_region,
-    spool_of,
 )
 from terrainwave.write.tasks.workers import Workers
 
@@ -89,6 +88,13 @@ class Cluster:
     url: str | None
     task_samples: int
 
+    def passes(self, bench: Bench, options: Options) -> "DistributedPasses | None":
+        """Return the passes of `compress` shared out; None if the raster is one small task."""
+        info = bench.source.info
+        grid = Grid(info.n_rows, info.n_cols, options.block)
+        level = task_level(grid, self.task_samples)
+        return None if level is None else DistributedPasses(bench, self, grid, level, options)
+
 
 class DistributedPasses:
     """The passes of `compress`, shared out over a cluster.
@@ -96,11 +102,11 @@ class DistributedPasses:
     Tasks begin at blocks of `level`. Threads of the bench code the levels above.
     """
 
-    def __init__(self, bench: Bench, cluster: Cluster, grid: Grid, level: int, has_digest: bool):
+    def __init__(self, bench: Bench, cluster: Cluster, grid: Grid, level: int, options: Options):
         self.bench = bench
         self._workers, self._raster = cluster.workers, cluster.raster
         self._grid, self._level = grid, level
-        self._has_digest = has_digest
+        self._has_digest = options.keep_origin
         if cluster.url is None:
             root = bench.directory.absolute() / "depot"
             root.mkdir()
@@ -116,8 +122,7 @@ class DistributedPasses:
         self._names.append("begun")
         self._depot.save("begun")
         tasks = {
-            region: (self._raster, region, self._has_digest, steps)
-            for region in self._own_regions()
+            region: (self._raster, region, self._has_digest, steps) for region in self._regions()
         }
         for _, part in self._run("scanning", scan_region, tasks):
             whole.merge(part)
@@ -134,7 +139,7 @@ class DistributedPasses:
             site = replace(site, file_tables=file_tables)
             sink = SpoolSink(job.grid, self.bench.directory)
             encoder = TreeEncoder(
-                job.grid, refiner, job.parameters, top, sink, lambda _: None, self._level
+                job.grid, job.parameters, top, sink, refiner=refiner, last_level=self._level
             )
             encoder.run(self.bench.executor)
         finally:
@@ -142,7 +147,9 @@ class DistributedPasses:
         found, boxes, errors = encoder.found, dict[Block, Box](), dict[Block, int]()
         segments: dict[Block | None, StoredSegment] = {}
         n_bytes = sink.n_bytes + len(file_tables)
-        _set_no_codes(site.grid, sink)
+        for spool in sink.present():
+            for key in spool.keys():
+                spool.set_codes(key, bytes(N_CODES * len(site.grid.key_blocks(key))))
         self._store_top(site, ABOVE, sink)
         with _Copies(site.depot, self.bench.directory) as copies:
             for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
@@ -156,18 +163,17 @@ class DistributedPasses:
         codes = Codes(job, found.stats, boxes, errors)
         codes.set(sink.present())
         if job.options.measures_meshes:
-            segments = self._mesh(site, refiner, codes, sink)
+            segments = self._mesh(site, codes, sink)
         return Coded(file_tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file, compare every sample; return the largest error and digests of tiles."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self._raster, self._depot.root, job, self._level)
-        tasks = {region: (site, os.path.abspath(path), region) for region in self._proof_regions()}
-        proof = Proof((self._grid.n_rows, self._grid.n_cols))
-        for _, found in self._run("proving", prove_region, tasks):
-            proof.add(found)
-        return measured_error(proof.largest, job.quantizer), proof.tiles
+        tasks = {region: (site, os.path.abspath(path), region) for region in self._regions(TILE)}
+        found = (proved for _, proved in self._run("proving", prove_region, tasks))
+        largest, tiles = collected(found, (self._grid.n_rows, self._grid.n_cols))
+        return measured_error(largest, job.quantizer), tiles
 
     def close(self) -> None:
         """Delete what tasks have left in the depot."""
@@ -209,13 +215,10 @@ class DistributedPasses:
         """Return the samples that a task stands for."""
         return own_region(self._grid, item) if isinstance(item, Block) else item
 
-    def _own_regions(self) -> list[Region]:
-        return [own_region(self._grid, head) for head in self._grid.blocks(self._level)]
-
-    def _proof_regions(self) -> list[Region]:
-        """Return regions of whole tiles of digests, none smaller than those of other tasks."""
+    def _regions(self, side: int = 1) -> list[Region]:
+        """Return the regions of tasks, or of coarser blocks if these have fewer samples a side."""
         level = self._level
-        while level and self._grid.block * self._grid.stride(level) < TILE:
+        while level and self._grid.block * self._grid.stride(level) < side:
             level -= 1
         return [own_region(self._grid, head) for head in self._grid.blocks(level)]
 
@@ -265,7 +268,7 @@ class DistributedPasses:
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
         level_shape = site.grid.level_shape(site.level)
-        wanted = SubtreeRegion(region, site.shift).fill_region(site.shift)
+        wanted = SubtreeRegion(region, site.shift).made("fills", site.shift)
         wanted = wanted.intersect(Region(0, 0, *level_shape))
         return wanted, top.fills(site.shift, wanted)
 
@@ -281,16 +284,9 @@ class DistributedPasses:
             full = Region(
                 row << shift, col << shift, (n_rows - 1 << shift) + 1, (n_cols - 1 << shift) + 1
             )
-            part = site.pyramid(self.bench, full)
-            try:
-                if site.job.has_voids:
-                    at, fills = self._fills(site, top, full)
-                    part.push()
-                    part.pull(spool_of(fills, (at.row, at.col), self.bench.directory))
-                part.make_heights(lambda *_: None)
+            fills = self._fills(site, top, full) if site.job.has_voids else None
+            with site.levels(self.bench, full, fills) as part:
                 return part.heights(level, region), part.mask(level, region)
-            finally:
-                part.close()
 
         def heights(level: int, region: Region) -> Heights:
             return top.heights(level, region) if level <= site.level else below(level, region)[0]
@@ -301,20 +297,16 @@ class DistributedPasses:
         return heights, mask
 
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
-        self._names.append(site.top_name(stage))
+        self._names.append(site.name(stage))
         store_segments(site.depot, self._names[-1], site.grid, site.top_heads(), sink.spools)
 
     # Meshes
 
-    def _mesh(
-        self, site: Site, refiner: Refiner, codes: Codes, sink: SpoolSink
-    ) -> dict[Block | None, StoredSegment]:
+    def _mesh(self, site: Site, codes: Codes, sink: SpoolSink) -> dict[Block | None, StoredSegment]:
         """Have meshes made and measured; return where the finished segments lie."""
         job, grid = site.job, site.grid
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
-        with site.segments(CODED, ABOVE) as stored:
-            source = groups_by(refiner, stored.payloads)
-            decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
+        with site.decoded(CODED, ABOVE) as (decoder, _):
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
                 grid, mesher, self.bench.executor, lambda _: None, range(site.level + 1)
@@ -326,10 +318,11 @@ class DistributedPasses:
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}
         with _Copies(site.depot, self.bench.directory) as copies:
-            for head, finished in self._run("measuring meshes", finish_subtree, tasks, FINISHED):
-                places = copies.places(finished.places)
-                segments |= zip(grid.segment_heads_below(head), places, strict=True)
-                for block, error in finished.ancestors.items():
+            finished = self._run("measuring meshes", finish_subtree, tasks, FINISHED)
+            for head, (places, ancestors) in finished:
+                heads = grid.segment_heads_below(head)
+                segments |= zip(heads, copies.places(places), strict=True)
+                for block, error in ancestors.items():
                     errors[block] = max(errors.get(block, 0), error)
         lost = Fraction(job.lost)
         mesh_errors = mesher.error_codes(errors, lost, by_recursion=job.options.faithful)
@@ -359,7 +352,6 @@ class DistributedPasses:
         return {head: (site, head) for head in site.grid.blocks(site.level)}
 
 
-_CACHE_BYTES = 128 << 20
 AT_A_TIME = 16  # requests to the depot
 
 
@@ -392,12 +384,6 @@ class _Copies:
         if kind is None:
             for copied in self._copied:
                 copied.result()
-
-
-def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:
-    for spool in sink.present():
-        for key in spool.keys():
-            spool.set_codes(key, bytes(N_CODES * len(grid.key_blocks(key))))
 
 
 def _n_samples(region: Region) -> int:

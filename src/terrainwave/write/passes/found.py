@@ -4,11 +4,12 @@ import json
 import threading
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
+from terrainwave.codec.refiner import Decoded, Heights
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.block_stats import BlockStats
-from terrainwave.grid.quadtree import Block
+from terrainwave.grid.quadtree import Block, Region
 
 Stats = dict[Block, BlockStats]
 
@@ -113,3 +114,23 @@ class Found:
             apart_from={Block(*block): apart for *block, apart in values["apart_from"]},
             has_corrections=values["has_corrections"],
         )
+
+
+class Ancestor(NamedTuple):
+    """A decoded block above a unit, without its apron."""
+
+    block: Block
+    region: Region
+    heights: Heights
+
+
+class Start(NamedTuple):
+    """Unit to code: its key, the decoded block above it, that block's ancestors and itself.
+
+    `found` takes the results.
+    """
+
+    key: Block
+    parent: Decoded | None
+    chain: list[Ancestor]
+    found: Found

@@ -17,9 +17,9 @@ from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
-from terrainwave.write.passes.found import Found
+from terrainwave.write.passes.found import Found, Start
 
-CodeUnit = Callable[[Block, Decoded, GroupSpec, Heights, Mask], tuple[bytes, Decoded]]
+CodeUnit = Callable[[Start, GroupSpec, Heights, Mask], tuple[bytes, Decoded]]
 
 
 class _Below(NamedTuple):
@@ -46,34 +46,34 @@ class Repeats:
         self._first_heads: dict[tuple[int, int, int], Block] = {}
         self._lock = threading.Lock()
 
-    def code(
-        self, block: Block, parent: Decoded, target: int, found: Found
-    ) -> dict[Block, BlockStats] | None:
-        """Pass all units below a block to `found`; return the statistics of the blocks below.
+    def code(self, start: Start, target: int) -> dict[Block, BlockStats] | None:
+        """Pass on all units below a block; return the statistics of the blocks below.
 
         Repeated segments are represented by one block. None if the block is at the raster's edge,
-        or something below it does not have one height.
-
-        Parameters
-        ----------
-        parent : Decoded
-            The decoded block.
-        target : int
-            The height of all samples under the block and around it.
+        or something below it does not have one height. `target` is the height of all samples under
+        the block and around it.
         """
-        height = int(parent.heights[0, 0])
-        if parent.validity.own_mask is not None or not self._grid.is_inside(block):
+        block, parent = start.key, start.parent
+        if parent is None or not self._is_even(parent, height := int(parent.heights[0, 0])):
             return None
-        if parent.remainders is not None or not (parent.heights == height).all():
+        if not self._grid.is_inside(block) or not self._is_whole(block):
             return None
-        if not self._is_whole(block):
-            return None
-        below = self._units_below(block, parent, target)
+        known = block.level, target, height
+        with self._lock:
+            if known not in self._below:
+                self._below[known] = self._coded(start, target)
+            below = self._below[known]
         if below is None:
             return None
         stats: dict[Block, BlockStats] = {}
-        self._put(block, below, target, height, block.level, stats, found)
+        self._put(block, below, target, height, block.level, stats, start.found)
         return stats
+
+    def _is_even(self, decoded: Decoded, height: int) -> bool:
+        """Return whether all samples are valid and have one height."""
+        if decoded.validity.own_mask is not None or decoded.remainders is not None:
+            return False
+        return bool((decoded.heights == height).all())
 
     def _is_whole(self, block: Block) -> bool:
         """Return whether the raster's edge cuts neither a unit below a block nor its apron."""
@@ -86,15 +86,9 @@ class Repeats:
             row, col = 2 * row + 1, 2 * col + 1  # the last one; others lie further inside
         return True
 
-    def _units_below(self, block: Block, parent: Decoded, target: int) -> _Below | None:
-        known = block.level, target, int(parent.heights[0, 0])
-        with self._lock:
-            if known not in self._below:
-                self._below[known] = self._coded(block, parent, target)
-            return self._below[known]
-
-    def _coded(self, block: Block, parent: Decoded, target: int) -> _Below | None:
+    def _coded(self, start: Start, target: int) -> _Below | None:
         """Code the first unit of each level below a block; None unless each has one height."""
+        block, parent = start.key, start.parent
         payloads, heights = [], []
         for level in range(block.level, self._grid.k_max):
             depth = level - block.level
@@ -103,14 +97,10 @@ class Repeats:
             shape = spec.region.shape
             targets = np.full(shape, target, dtype=np.int32)
             mask = np.ones(shape, dtype=np.bool_)
-            payload, decoded = self._code_unit(key, parent, spec, targets, mask)
+            start = Start(key, parent, [], start.found)
+            payload, decoded = self._code_unit(start, spec, targets, mask)
             height = int(decoded.heights[0, 0])
-            is_even = bool((decoded.heights == height).all())
-            if (
-                not is_even
-                or decoded.validity.own_mask is not None
-                or decoded.remainders is not None
-            ):
+            if not self._is_even(decoded, height):
                 return None
             payloads.append(payload)
             heights.append(height)

@@ -1,7 +1,7 @@
 """Coding of the units that no longer hold; all others are copied."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -10,20 +10,30 @@ from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.shared_lines import shared_samples
 from terrainwave.codec.unit_specs import block_of_unit
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
 from terrainwave.grid.remainders import Remainders
-from terrainwave.write.encoder import Start, TreeEncoder, distance_of
-from terrainwave.write.passes.found import Found
+from terrainwave.write.encoder import TreeEncoder, distance_of
+from terrainwave.write.passes.found import Found, Start
+from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.patching.merged import Merged
+from terrainwave.write.pyramid import Pyramid
 
 
 class PatchEncoder(TreeEncoder):
     """Walks a file's units and codes those again that no longer hold."""
 
-    def __init__(self, terrain: TerrainFile, merged: Merged, *rest: Any, **options: Any) -> None:
-        self._terrain = terrain
-        self._merged = merged
+    def __init__(
+        self,
+        terrain: TerrainFile,
+        merged: Merged,
+        pyramid: Pyramid,
+        sink: SpoolSink,
+        on_samples: Callable[[int], None],
+        kept: KeptUnits,
+    ) -> None:
+        self._terrain, self._merged = terrain, merged
         header = terrain.header
         refiner = refiner_by_name(header.method, header.file_tables)
         # With the original all heights are known, and none needs restoring. Corrections of
@@ -32,7 +42,7 @@ class PatchEncoder(TreeEncoder):
         parameters = replace(
             header.codec_parameters, has_voids=merged.has_voids, has_corrections=self._corrects
         )
-        super().__init__(terrain.grid, refiner, parameters, *rest, **options)
+        super().__init__(terrain.grid, parameters, pyramid, sink, on_samples, refiner, kept=kept)
 
     def code_unit(
         self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
@@ -49,10 +59,8 @@ class PatchEncoder(TreeEncoder):
         if payload == stored and not is_moved:
             return stored, old
         found.recoded.add(key)
-        for block in self._grid.key_blocks(key):
-            before, after = (
-                block_of_unit(self._grid, spec, unit, block) for unit in (old, decoded)
-            )
+        for block in self.grid.key_blocks(key):
+            before, after = (block_of_unit(self.grid, spec, unit, block) for unit in (old, decoded))
             changes = np.abs(after.heights.astype(np.int64) - before.heights)
             change = int(changes.max())
             if change or not _are_alike(before, after):
@@ -63,7 +71,7 @@ class PatchEncoder(TreeEncoder):
         """Return whether a decoded block has changed; `found` may begin below it."""
         return block in found.changes or block in self.found.changes
 
-    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+    def restored(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
         """Return the heights of a unit that must come back exactly, `FREE` elsewhere.
 
         These are heights that the new raster does not cover, and void ones that changed. Of samples
@@ -74,10 +82,10 @@ class PatchEncoder(TreeEncoder):
         if not self._corrects:
             return None
         old = self._terrain.decoder.unit(key)
-        stays = self._merged.beyond(spec.region, self._grid.stride(spec.level))
+        stays = self._merged.beyond(spec.region, self.grid.stride(spec.level))
         shared = shared_samples(spec)
         holds = np.abs(target.astype(np.int64) - old.heights) <= spec.half
-        stays |= shared & (holds | ~self._pyramid.own(spec.level, spec.region))
+        stays |= shared & (holds | ~self.pyramid.own(spec.level, spec.region))
         stays &= old.mask == mask
         stays &= mask | ~shared
         if not old.mask.any():
@@ -88,11 +96,11 @@ class PatchEncoder(TreeEncoder):
         """Return whether a unit decodes to within the bound of the targets."""
         if not np.array_equal(old.mask, mask):
             return False
-        own = self._pyramid.own(spec.level, spec.region)
+        own = self.pyramid.own(spec.level, spec.region)
         if spec.has_voids and not np.array_equal(old.own_mask, own):
             return False
         if spec.remainder_bytes:
-            rest = self._pyramid.remainders(spec.region, old.heights)
+            rest = self.pyramid.remainders(spec.region, old.heights)
             if not _are_same(rest, old.remainders):
                 return False
         own = own & mask
@@ -112,7 +120,8 @@ class PatchEncoder(TreeEncoder):
             return
         for ancestor in start.chain:
             if self._has_changed(ancestor.block, start.found):
-                apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
+                stride = self.grid.stride(ancestor.block.level)
+                apart = distance_of(ancestor, spec.core, originals, valid, stride)
                 start.found.note_apart(ancestor.block, apart)
 
 
