@@ -30,9 +30,9 @@ from terrainwave.read.coded import EvenBlocks
 from terrainwave.verification import original
 from terrainwave.verification.original import Original
 from terrainwave.write import encoder
+from terrainwave.write.encoder import Repeats
 from terrainwave.write.passes import proof, resuming
 from terrainwave.write.passes.found import Found
-from terrainwave.write.passes.repeats import Repeats
 from terrainwave.write.passes.windows import check_free_space
 
 SIDE = 2600

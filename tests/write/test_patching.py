@@ -24,7 +24,7 @@ from terrainwave.errors import (
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 from terrainwave.write.patching import patcher
-from terrainwave.write.patching.patch_encoder import PatchEncoder
+from terrainwave.write.patching.patcher import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)
@@ -291,7 +291,7 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
 @pytest.mark.large
 def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path, monkeypatch):
     """What stored heights stand in for is half a step and all earlier moves away from them."""
-    measure, added = index.measure_meshes, []
+    measure, added = patcher.measure_meshes, []
 
     def noted(*arguments):
         added.append(arguments[5])

@@ -116,38 +116,33 @@ def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def describe_crs(crs_text: str | None) -> Description | None:
-    """Return the description of a CRS; None, with `parse_crs`'s warning, if it cannot be read.
+    """Return the description of a CRS; None, with `parse_crs`'s warning, if it cannot be read."""
+    found = describe_quietly(crs_text)
+    if found is None:
+        from terrainwave.place.crs import parse_crs
 
-    Parameters
-    ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT. It may come from an untrusted file.
-    """
-    if crs_text is None:
-        return None
-    from terrainwave.place.crs import parse_crs
-
-    crs = parse_crs(crs_text)
-    return None if crs is None else _described(crs_text)
+        parse_crs(crs_text)
+    return found
 
 
 def describe_quietly(crs_text: str | None) -> Description | None:
     """Return `describe_crs`'s result without a warning, which opening the file has issued."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TerrainwaveWarning)
-        return describe_crs(crs_text)
+    return None if crs_text is None else _described(crs_text)
 
 
 @lru_cache(_CACHED)
-def _described(crs_text: str) -> Description:
+def _described(crs_text: str) -> Description | None:
     from rasterio.errors import CRSError
 
     from terrainwave.place.crs import parse_crs
 
-    crs, told = parse_crs(crs_text), dict[str, Any]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        crs = parse_crs(crs_text)
+    told = dict[str, Any]()
     with contextlib.suppress(CRSError, ValueError, TypeError):
         told = {} if crs is None else crs.to_dict(projjson=True)
-    return read_projjson(told)
+    return None if crs is None else read_projjson(told)
 
 
 def read_projjson(told: dict[str, Any]) -> Description:
@@ -177,10 +172,6 @@ def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
     """Return the name and the compound CRS of a vertical CRS that only one of two has.
 
     None if they differ in anything else. The second result is a text for GDAL.
-
-    Parameters
-    ----------
-    one, other : rasterio.crs.CRS
     """
     told = [crs.to_dict(projjson=True) for crs in (one, other)]
     for compound, plain in (told, told[::-1]):
@@ -199,7 +190,6 @@ def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
 
 
 def _core(told: Any) -> Any:
-    """Return the definition in a CRS, without names and remarks."""
     if isinstance(told, dict):
         left_out = ("$schema", "id", "ids", "scope", "area", "bbox", "usages", "remarks")
         return {key: _core(value) for key, value in told.items() if key not in left_out}

@@ -82,16 +82,7 @@ def check_kind(heights_are: str | None) -> None:
 
 
 def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Told:
-    """Return the meaning of the numbers by attributes or tags, else by names.
-
-    Parameters
-    ----------
-    marks : mapping
-        Attributes of the array, or tags of the band.
-    names : Names
-    crs_text : str, optional
-        Its vertical axis may point down.
-    """
+    """Return the meaning of the numbers by attributes or tags, else by names."""
     said = {name.lower(): str(value).strip().lower() for name, value in marks.items()}
     title = " ".join((names.title or "").lower().split())
     positive = said.get(POSITIVE, "")
@@ -146,13 +137,7 @@ def settled_kind(
 ) -> Settled:
     """Return the meaning of the numbers, by metadata, names and their values.
 
-    Parameters
-    ----------
-    told : Told
-    crs_text : str, optional
-    metres : (low, high)
-        Of all valid numbers, with their original sign.
-    is_mostly_negative : bool
+    `metres` is the range of all valid numbers, with their original sign.
     """
     if told.kind == DEPTH and told.is_name and is_mostly_negative:
         return Settled(
@@ -189,11 +174,7 @@ def settled_kind(
 def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bool | None:
     """Return whether all numbers are near the radius of the CRS's body; None without any.
 
-    Parameters
-    ----------
-    crs_text : str, optional
-    metres : iterable of (low, high)
-        Of parts of the raster; read up to the first part with other numbers.
+    `metres` are the ranges of parts of the raster; read up to the first part with other numbers.
     """
     radius, found = _radius_of_body(crs_text), None
     if not radius:
@@ -208,15 +189,7 @@ def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bo
 def by_numbers(
     told: Told, crs_text: str | None, metres: Iterable[tuple[float, float]]
 ) -> Told | None:
-    """Return the meaning of a raster's numbers, told or else by all of them; None without any.
-
-    Parameters
-    ----------
-    told : Told
-    crs_text : str, optional
-    metres : iterable of (low, high)
-        As in `are_radii`.
-    """
+    """Return the meaning of numbers, told or by all of them (`are_radii`); None without any."""
     if told.kind is not None:
         return told
     found = are_radii(crs_text, metres)

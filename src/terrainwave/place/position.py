@@ -136,18 +136,9 @@ class Place:
         return bool(self.unit == 1 and system.flat.equals(system.globe, ignore_axis_order=True))
 
     def to_lonlat(self, xy: Numbers) -> Numbers:
-        """Return longitudes and latitudes in degrees; NaN if a point has none.
+        """Return longitudes and latitudes in degrees of points (n_points, 2); NaN if one has none.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
-
-        Parameters
-        ----------
-        xy : ndarray of float64, shape (n_points, 2)
-
-        Raises
-        ------
-        InvalidHeightsError
-            If there is no CRS, or nothing geographic behind it.
         """
         if self.is_lonlat:
             return xy * self.unit
@@ -314,16 +305,6 @@ def impossible_places(
 
     Centres of samples may lie a tenth of a pixel beyond a pole, which rounding explains; outer
     edges of a grid with samples on the pole lie half a pixel beyond it.
-
-    Parameters
-    ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT. Without a CRS nothing is impossible.
-    transform : sequence of 6 float
-        From columns and rows to x and y.
-    shape : (rows, columns)
-    is_placed : bool
-        False for an array without georeference, whose columns and rows are not degrees.
     """
     told = describe_quietly(crs_text)
     if told is None or not told.in_degrees or not is_placed:
@@ -375,7 +356,6 @@ def _guess(
 
 
 def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, str]:
-    """Return the names of x and y of a CRS, with their unit."""
     if not is_placed:
         return "x, samples", "y, samples"
     told = describe_quietly(crs_text)

@@ -102,7 +102,6 @@ class HeightUnit(NamedTuple):
 
     @property
     def is_radius(self) -> bool:
-        """Return whether the numbers are distances from the centre of the body."""
         return self.kind == RADIUS
 
     def note_kind(self) -> None:
@@ -135,16 +134,7 @@ class HeightUnit(NamedTuple):
 def height_unit(
     units: str | None, crs_text: str | None, heights_are: str | None = None
 ) -> HeightUnit:
-    """Return the unit of heights: the band's, else that of the CRS's vertical axis.
-
-    Parameters
-    ----------
-    units : str, optional
-        The band's unit.
-    crs_text : str, optional
-    heights_are : {"height", "depth", "radius"}, optional
-        As in `RasterInfo`.
-    """
+    """Return the unit of heights: the band's, else that of the CRS's vertical axis."""
     vertical = vertical_of(crs_text)
     if units and units.strip() and _plain(units) not in _NO_UNIT:
         return HeightUnit(units.strip(), BAND, vertical, heights_are)
@@ -245,7 +235,6 @@ def _note_on(name: str, other_name: str, unit: str | None) -> str:
 
 
 def vertical_of(crs_text: str | None) -> Vertical | None:
-    """Return the vertical part of a CRS, if it has one."""
     description = describe_quietly(crs_text)
     return None if description is None else description.vertical
 
@@ -280,13 +269,11 @@ def _is_same(length: float | None, other: float | None) -> bool:
 
 
 def is_length(units: str | None) -> bool:
-    """Return whether a unit is a known length, or missing."""
     unit = height_unit(units, None)
     return unit.name is None or unit.length is not None
 
 
 def _plain(units: str) -> str:
-    """Return the normalised name of a unit."""
     for mark, plain in (("[", " "), ("]", " "), ("_", " "), (".", ""), ("\u03bc", "\u00b5")):
         units = units.replace(mark, plain)
     return " ".join(_HYPHEN.sub(" ", units.lower()).split())

@@ -9,10 +9,10 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -151,7 +151,7 @@ class DistributedPasses:
             for key in spool.keys():
                 spool.set_codes(key, bytes(N_CODES * len(site.grid.key_blocks(key))))
         self._store_top(site, ABOVE, sink)
-        with _Copies(site.depot, self.bench.directory) as copies:
+        with self._copied() as places:
             for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
                 found.note(encoded.ancestors)
                 if encoded.box is not None:
@@ -159,7 +159,7 @@ class DistributedPasses:
                 n_bytes += encoded.n_bytes
                 if not job.options.measures_meshes:
                     heads = site.grid.segment_heads_below(head)
-                    segments |= zip(heads, copies.places(encoded.places), strict=True)
+                    segments |= zip(heads, places(encoded.places), strict=True)
         codes = Codes(job, found.stats, boxes, errors)
         codes.set(sink.present())
         if job.options.measures_meshes:
@@ -176,7 +176,6 @@ class DistributedPasses:
         return measured_error(largest, job.quantizer), tiles
 
     def close(self) -> None:
-        """Delete what tasks have left in the depot."""
         try:
             self._depot.remove(self._names)
         except StorageError as error:  # not a reason to lose the file
@@ -212,7 +211,6 @@ class DistributedPasses:
             report(n_tasks)
 
     def _region(self, item: Block | Region) -> Region:
-        """Return the samples that a task stands for."""
         return own_region(self._grid, item) if isinstance(item, Block) else item
 
     def _regions(self, side: int = 1) -> list[Region]:
@@ -300,6 +298,31 @@ class DistributedPasses:
         self._names.append(site.name(stage))
         store_segments(site.depot, self._names[-1], site.grid, site.top_heads(), sink.spools)
 
+    @contextmanager
+    def _copied(self) -> Iterator[Callable[[Sequence[StoredSegment]], list[StoredSegment]]]:
+        """Yield what says where the segments of one entry will lie.
+
+        Those at a URL are copied to this machine while tasks are running: a file is put together
+        from segments one by one, and of a store each would be waited for.
+        """
+        copying: list[Future[None]] = []
+
+        def places(stored: Sequence[StoredSegment]) -> list[StoredSegment]:
+            if "://" not in self._depot.root or not any(place.length for place in stored):
+                return list(stored)
+            path = self.bench.directory / f"copied-{len(copying)}.twz-spool"
+            copying.append(pool.submit(self._depot.fetch, stored[0].path, path))
+            return [place._replace(path=str(path)) for place in stored]
+
+        with ThreadPoolExecutor(AT_A_TIME) as pool:
+            try:
+                yield places
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+            for copied in copying:
+                copied.result()
+
     # Meshes
 
     def _mesh(self, site: Site, codes: Codes, sink: SpoolSink) -> dict[Block | None, StoredSegment]:
@@ -317,11 +340,11 @@ class DistributedPasses:
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}
-        with _Copies(site.depot, self.bench.directory) as copies:
+        with self._copied() as places:
             finished = self._run("measuring meshes", finish_subtree, tasks, FINISHED)
-            for head, (places, ancestors) in finished:
+            for head, (stored, ancestors) in finished:
                 heads = grid.segment_heads_below(head)
-                segments |= zip(heads, copies.places(places), strict=True)
+                segments |= zip(heads, places(stored), strict=True)
                 for block, error in ancestors.items():
                     errors[block] = max(errors.get(block, 0), error)
         lost = Fraction(job.lost)
@@ -353,37 +376,6 @@ class DistributedPasses:
 
 
 AT_A_TIME = 16  # requests to the depot
-
-
-class _Copies:
-    """Copies segments from a URL to this machine while tasks are running; others stay there.
-
-    A file is put together from segments one by one: of a store, each would be waited for.
-    """
-
-    def __init__(self, depot: Depot, directory: Path) -> None:
-        self._depot = depot
-        self._directory = directory
-        self._copied: list[Future[None]] = []
-        self._pool = ThreadPoolExecutor(AT_A_TIME) if "://" in depot.root else None
-
-    def places(self, places: Sequence[StoredSegment]) -> list[StoredSegment]:
-        """Return where the segments of one entry will lie."""
-        if self._pool is None or not any(place.length for place in places):
-            return list(places)
-        path = self._directory / f"copied-{len(self._copied)}.twz-spool"
-        self._copied.append(self._pool.submit(self._depot.fetch, places[0].path, path))
-        return [place._replace(path=str(path)) for place in places]
-
-    def __enter__(self) -> "_Copies":
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=kind is not None)
-        if kind is None:
-            for copied in self._copied:
-                copied.result()
 
 
 def _n_samples(region: Region) -> int:

@@ -10,11 +10,20 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import (
+    ALL_VALID,
+    Decoded,
+    FittingRefiner,
+    GroupSpec,
+    Heights,
+    Mask,
+    Refiner,
+)
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.container.spool_sink import SpoolSink
@@ -31,12 +40,12 @@ from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.passes.found import Ancestor, Found, Start, Stats
-from terrainwave.write.passes.repeats import Repeats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
 # On levels with fewer blocks, threads share units instead of subtrees.
 _MIN_SUBTREES = 8
+_CodeUnit = Callable[[Start, GroupSpec, Heights, Mask], tuple[bytes, Decoded]]
 
 
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tuple[Refiner, bytes]:
@@ -223,7 +232,6 @@ class TreeEncoder:
         return True
 
     def _count(self, block: Block) -> None:
-        """Report that all below a block is coded."""
         region = self.grid.full_region(block)
         self.on_samples(region.n_rows * region.n_cols)
 
@@ -259,7 +267,6 @@ class TreeEncoder:
     def code_unit(
         self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the payload and the decoded form of a unit."""
         assert self.refiner is not None
         rest = partial(self.pyramid.remainders, spec.region) if spec.remainder_bytes else None
         own = None
@@ -279,7 +286,6 @@ class TreeEncoder:
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
     def _meshed(self, blocks: list[Block], parts: list[Decoded]) -> Stats:
-        """Return which blocks have meshes."""
         grid, apron = self.grid, self.parameters.apron
         found: Stats = {}
         for block, part in zip(blocks, parts, strict=True):
@@ -309,3 +315,129 @@ class TreeEncoder:
                 error = distance_of(ancestor, spec.core, originals, mask, stride, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
         start.found.note(by_block)
+
+
+class _Below(NamedTuple):
+    """Payload and decoded height of the units below a block, by level."""
+
+    payloads: tuple[bytes, ...]
+    heights: tuple[int, ...]
+
+
+class Repeats:
+    """Codes subtrees of one height, each distinct unit once; thread-safe.
+
+    A unit's payload follows from its targets, the decoded block above it, and which sides have
+    neighbours. So below a block whose samples have one height and which decodes to one height, all
+    groups of a level have the same payload; so have all such blocks of a level that do not touch
+    the raster's edge. Whole segments are copied from the first one.
+    """
+
+    def __init__(self, grid: Grid, parameters: CodecParameters, code_unit: _CodeUnit) -> None:
+        self._grid = grid
+        self._parameters = parameters
+        self._code_unit = code_unit
+        self._below: dict[tuple[int, int, int], _Below | None] = {}
+        self._first_heads: dict[tuple[int, int, int], Block] = {}
+        self._lock = threading.Lock()
+
+    def code(self, start: Start, target: int) -> dict[Block, BlockStats] | None:
+        """Pass on all units below a block; return the statistics of the blocks below.
+
+        Repeated segments are represented by one block. None if the block is at the raster's edge,
+        or something below it does not have one height. `target` is the height of all samples under
+        the block and around it.
+        """
+        block, parent = start.key, start.parent
+        if parent is None or not self._is_even(parent, height := int(parent.heights[0, 0])):
+            return None
+        if not self._grid.is_inside(block) or not self._is_whole(block):
+            return None
+        known = block.level, target, height
+        with self._lock:
+            if known not in self._below:
+                self._below[known] = self._coded(start, target)
+            below = self._below[known]
+        if below is None:
+            return None
+        stats: dict[Block, BlockStats] = {}
+        self._put(block, below, target, height, block.level, stats, start.found)
+        return stats
+
+    def _is_even(self, decoded: Decoded, height: int) -> bool:
+        if decoded.validity.own_mask is not None or decoded.remainders is not None:
+            return False
+        return bool((decoded.heights == height).all())
+
+    def _is_whole(self, block: Block) -> bool:
+        """Return whether the raster's edge cuts neither a unit below a block nor its apron."""
+        shape = (2 * self._grid.block + 1 + 2 * self._parameters.apron,) * 2
+        row, col = block.row, block.col
+        for level in range(block.level, self._grid.k_max):
+            spec = unit_spec(self._grid, self._parameters, Block(level, row, col))
+            if spec.region.shape != shape:
+                return False
+            row, col = 2 * row + 1, 2 * col + 1  # the last one; others lie further inside
+        return True
+
+    def _coded(self, start: Start, target: int) -> _Below | None:
+        """Code the first unit of each level below a block; None unless each has one height."""
+        block, parent = start.key, start.parent
+        payloads, heights = [], []
+        for level in range(block.level, self._grid.k_max):
+            depth = level - block.level
+            key = Block(level, block.row << depth, block.col << depth)
+            spec = unit_spec(self._grid, self._parameters, key)
+            shape = spec.region.shape
+            targets = np.full(shape, target, dtype=np.int32)
+            mask = np.ones(shape, dtype=np.bool_)
+            start = Start(key, parent, [], start.found)
+            payload, decoded = self._code_unit(start, spec, targets, mask)
+            height = int(decoded.heights[0, 0])
+            if not self._is_even(decoded, height):
+                return None
+            payloads.append(payload)
+            heights.append(height)
+            n = self._grid.block_region(Block(level + 1, key.row * 2, key.col * 2)).n_rows
+            apron = shape[0] - spec.core.n_rows
+            parent = Decoded(np.full((n + apron,) * 2, height, dtype=np.int32), ALL_VALID)
+        return _Below(tuple(payloads), tuple(heights))
+
+    def _put(
+        self,
+        block: Block,
+        below: _Below,
+        target: int,
+        height: int,
+        top: int,
+        stats: dict[Block, BlockStats],
+        found: Found,
+    ) -> None:
+        grid, depth = self._grid, block.level - top
+        own = below.heights[depth]
+        children = grid.children(block)
+        if grid.segment_head(block) == block and self._is_repeated(block, target, height, found):
+            error = max(abs(target - one) for one in below.heights[depth:])
+            stats[children[0]] = BlockStats(target, target, error)
+            if block.level + SEGMENT_LEVELS < grid.k_max:
+                at = below.heights[depth + SEGMENT_LEVELS - 1]
+                for head in grid.segment_children(block):
+                    self._put(head, below, target, at, top, stats, found)
+            return
+        found.add(block, below.payloads[depth])
+        for child in children:
+            stats[child] = BlockStats(target, target, abs(target - own), has_mesh=True)
+            if child.level < grid.k_max:
+                self._put(child, below, target, own, top, stats, found)
+
+    def _is_repeated(self, head: Block, target: int, height: int, found: Found) -> bool:
+        """Return whether a segment equals an earlier one, and record that, if `found` can."""
+        if found.repeat is None:
+            return False
+        known = head.level, target, height
+        with self._lock:
+            first = self._first_heads.setdefault(known, head)
+        if first == head:
+            return False
+        found.repeat(head, first)
+        return True

@@ -52,7 +52,6 @@ class Coded:
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
-    """Return the smaller one and close the other."""
     kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
     dropped.close()
     return kept
@@ -148,13 +147,6 @@ class LocalPasses:
         """Decode the file from disk and compare every sample and the mask.
 
         Return the largest error, and the digests of tiles if the file is to have them.
-
-        Raises
-        ------
-        BoundViolationError
-            If a sample is further than the bound from the original, or valid where that is void.
-        StorageError
-            If that is because the raster has changed.
         """
         grid, count = job.grid, self.bench.counter("proving")
         with (

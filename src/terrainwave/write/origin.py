@@ -29,15 +29,6 @@ def difference(
     """Return why `path` differs from the file that `compress` makes of `src`; None if equal.
 
     The reason completes a sentence: "it …". The raster is read only if all else is equal.
-
-    Parameters
-    ----------
-    options : as `Options` has them
-
-    Raises
-    ------
-    TerrainwaveError
-        If the raster cannot be read, or an option is invalid.
     """
     asked = Options(**options)
     try:
@@ -68,7 +59,7 @@ def difference(
             return "it was made of another .twz file"
         scan, reporter = new_scan(info, has_digest=True), Reporter(progress)
         for region in source.blocks():
-            take(scan, (*source.read(*region), region.row, region.col), info, reporter)
+            take(scan, region, source.read(*region), info, reporter)
         info = source.with_meaning(scan.minimum, scan.maximum)[0]
         if info.heights_are != kind:
             return "its numbers mean something else"

@@ -181,7 +181,6 @@ def patch(
 
 
 def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
-    """Raise `InvalidHeightsError` for a file that cannot be patched."""
     method = METHODS[header.method]
     if not method.is_patchable:
         fit = methods_that(lambda method: method.is_patchable)

@@ -287,12 +287,10 @@ class Pyramid:
         levels = [self._level(shift) for shift in self._level_shifts()]
         sizes = [math.prod(level.region("heights").shape) for level in levels]
         # Only heights of nested levels are known without looking at those of the level below.
-        kinds: dict[str, tuple[_EvenAt, _MakeWindow]] = {
-            "lowpass": (_unknown, self._lowpass_window),
-            "lowpass53": (_unknown, self._lowpass53_window),
-            "nested": (self._unread, self._nested_window),
-        }
-        even_of, make = kinds[self._kind]
+        even_of: _EvenAt = _unknown
+        make: _MakeWindow = self._lowpass_window
+        if self._kind == "nested":
+            even_of, make = self._unread, self._nested_window
         for done, level in enumerate(levels, 1):
             self._make(level.file("heights"), level.shift, ("heights",), even_of, make)
             if level.shift > 1:
@@ -341,7 +339,6 @@ class Pyramid:
             pass
 
     def close(self) -> None:
-        """Delete the spools."""
         for level in self._levels.values():
             for spool in level.arrays.values():
                 spool.close()
@@ -436,29 +433,16 @@ class Pyramid:
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
 
-    def _lowpass53_window(self, shift: int, region: Region) -> Sequence[Heights]:
-        level = self._grid.k_max - (shift - 1)
-        fine = _around(region, _LOWPASS53_HALO).intersect(self._level(shift - 1).whole)
-        return (
-            lowpass_window(
-                self.steps(level, fine),
-                (fine.row, fine.col),
-                self._shape(shift - 1),
-                (region.row, region.col),
-                region.shape,
-                *TileLayout(self._grid).lowpass_tiles(level),
-            ),
-        )
-
     def _lowpass_window(self, shift: int, region: Region) -> Sequence[Heights]:
-        fine = _around(region, _LOWPASS_HALO).intersect(self._level(shift - 1).whole)
-        heights = lowpass_analysis(
-            self.heights(self._grid.k_max - (shift - 1), fine),
-            (fine.row, fine.col),
-            self._shape(shift - 1),
-            (region.row, region.col),
-            region.shape,
-        )
+        level, is_in_tiles = self._grid.k_max - (shift - 1), self._kind == "lowpass53"
+        halo = _LOWPASS53_HALO if is_in_tiles else _LOWPASS_HALO
+        fine = _around(region, halo).intersect(self._level(shift - 1).whole)
+        first = region.row, region.col
+        place = (fine.row, fine.col), self._shape(shift - 1), first, region.shape
+        if is_in_tiles:
+            tiles = TileLayout(self._grid).lowpass_tiles(level)
+            return (lowpass_window(self.steps(level, fine), *place, *tiles),)
+        heights = lowpass_analysis(self.heights(level, fine), *place)
         # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
         return (np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights),)
 

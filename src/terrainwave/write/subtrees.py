@@ -65,7 +65,6 @@ class Site:
 
     @property
     def depot(self) -> Depot:
-        """Return the depot as this machine uses it."""
         return Depot(self.root, workplace().folder)
 
     @property
@@ -78,7 +77,6 @@ class Site:
         return self.grid.k_max - self.level
 
     def refiner(self) -> Refiner:
-        """Return the refiner with the file's tables."""
         return refiner_by_name(self.job.options.named_method.name, self.file_tables)
 
     def name(self, stage: str, head: Block | None = None) -> str:
@@ -187,7 +185,6 @@ def make_levels(site: Site, head: Block) -> None:
 
 @contextmanager
 def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, Bench]]:
-    """Yield the levels of a subtree."""
     fills: Fills | None = None
     if site.job.has_voids:
         stored = site.depot.load(site.name("fills", head))
@@ -336,12 +333,6 @@ def finish_subtree(
 
 
 def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> Proved:
-    """Return the largest difference of a finished file from the raster, and digests of tiles.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than the bound from the original, or valid where that is void.
-    """
+    """Return the largest difference of a finished file from the raster, and digests of tiles."""
     with site.raster.open() as source, comparison_of(path, site.job, source) as comparison:
         return together(map(comparison.all, comparison.shares(source, region)))

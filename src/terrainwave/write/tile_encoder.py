@@ -60,12 +60,13 @@ def encode_tiles(
     layout = TileLayout(job.grid, parameters.has_voids)
     with closing(EmbeddedSource(coder, layout, bench.directory)) as source:
         source.code(executor, on_samples)
-        if options.rate is not None:
-            n_bytes = int(options.rate * job.grid.n_rows * job.grid.n_cols / 8)
+        rate, psnr = (getattr(options.choice.own, name, None) for name in ("rate", "psnr"))
+        if rate is not None:
+            n_bytes = int(rate * job.grid.n_rows * job.grid.n_cols / 8)
             source.cut_to_size(n_bytes - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units())
-        elif options.psnr is not None:
+        elif psnr is not None:
             span = parameters.z_max - parameters.z_min
-            source.cut_to_error(span**2 * 10.0 ** (-options.psnr / 10), parameters, executor)
+            source.cut_to_error(span**2 * 10.0 ** (-psnr / 10), parameters, executor)
         return TileEncoder(source, *walked).run(executor)
 
 
@@ -102,7 +103,6 @@ class TileEncoder(TreeEncoder):
         return payload, decoded
 
     def _begin(self, key: Block) -> bytes:
-        """Code a tile and store it decoded."""
         spec = self._layout.spec(key)
         outer = None if spec.is_root else self._heads[key]
         payload = self._source(spec, outer)
@@ -166,7 +166,6 @@ class EmbeddedSource:
         self._spool.close()
 
     def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:
-        """Code every tile of the raster."""
         lock = threading.Lock()
 
         def code(key: Block) -> None:
@@ -194,12 +193,10 @@ class EmbeddedSource:
         return unpack_tile(spec, next(self._spool.chunks([spec.key])))
 
     def _cut(self, key: Block, position: float) -> int:
-        """Return the number of bytes to keep of a tile's stream."""
         _, ends, total, n_below = self._streams[key]
         return plane_cut(ends, total, position - n_below)
 
     def n_bytes(self, position: float) -> int:
-        """Return the bytes of all payloads cut at `position`."""
         return sum(
             n_head + packed_length(self._cut(key, position))
             for key, (n_head, *_) in self._streams.items()
@@ -213,13 +210,7 @@ class EmbeddedSource:
         )
 
     def cut_to_size(self, max_bytes: int) -> None:
-        """Set `position` to the finest one at which all payloads take at most `max_bytes`.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If the heads alone take more.
-        """
+        """Set `position` to the finest one at which all payloads take at most `max_bytes`."""
         coarsest = float(self._coarsest)
         if self.n_bytes(coarsest) > max_bytes:
             raise InvalidArgumentError(

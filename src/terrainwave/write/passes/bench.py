@@ -41,13 +41,7 @@ class AskedRaster(NamedTuple):
         )  # fmt: skip
 
     def shared(self) -> "AskedRaster":
-        """Return the raster as other machines open it.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If it is no path or URL, and no list of them.
-        """
+        """Return the raster as other machines open it."""
         sources = self.src if isinstance(self.src, list | tuple) else [self.src]
         if not all(isinstance(source, str | os.PathLike) for source in sources):
             raise InvalidHeightsError(

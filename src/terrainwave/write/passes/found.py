@@ -47,7 +47,6 @@ class Found:
         return None if self.sink is None else self.sink.repeat
 
     def add(self, key: Block, payload: bytes) -> None:
-        """Store the payload of a unit."""
         (self.payloads.__setitem__ if self.sink is None else self.sink)(key, payload)
 
     def leave_out(self, block: Block) -> None:
@@ -55,7 +54,6 @@ class Found:
         (self.left_out.append if self.sink is None else self.sink.leave_out)(block)
 
     def note(self, stats: Stats) -> None:
-        """Merge statistics of blocks."""
         with self.lock:
             for block, own in stats.items():
                 self.stats.setdefault(block, BlockStats()).merge(own)
@@ -71,7 +69,6 @@ class Found:
             self.apart_from[block] = max(apart, self.apart_from.get(block, 0))
 
     def take(self, other: "Found") -> None:
-        """Merge the results of a subtree."""
         for key, payload in other.payloads.items():
             self.add(key, payload)
         for block in other.left_out:
@@ -99,7 +96,6 @@ class Found:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Found":
-        """Undo `to_bytes`."""
         line, _, data = data.partition(b"\n")
         values, payloads, offset = json.loads(line), dict[Block, bytes](), 0
         for *key, length in values["lengths"]:

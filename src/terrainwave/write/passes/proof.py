@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple, TypeVar
 
@@ -47,7 +48,6 @@ NOTHING = Proved(0.0, {})
 
 
 def together(found: Iterable[Proved]) -> Proved:
-    """Merge the results of several parts."""
     largest, tiles = 0.0, dict[Place, bytes]()
     for one in found:
         largest = max(largest, one.error)
@@ -78,11 +78,6 @@ def unproved(
     segment, or a block as large as a window. The file's index proves most of the voids that the
     source knows; windows in which the file has heights there are compared. Of voids known from the
     source's index some samples are read again, of those known only from the scan all.
-
-    Raises
-    ------
-    BoundViolationError
-        If the source contradicts its index or the scan.
     """
     side = _side_of(grid)
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
@@ -138,6 +133,7 @@ def _around(grid: Grid, block: Block) -> Region:
     )
 
 
+@dataclass
 class Comparison:
     """Compares a finished, decoded file with its raster; thread-safe.
 
@@ -147,20 +143,14 @@ class Comparison:
     compared samples.
     """
 
-    def __init__(
-        self,
-        terrain: TerrainFile,
-        source: SourceWindows,
-        allowed: float,
-        has_digests: bool,
-        count: Callable[[int], None] = lambda _: None,
-    ) -> None:
-        self._terrain = terrain
-        self._source = source
-        self._allowed = allowed
-        self._has_digests = has_digests
-        self._count = count
-        self._even = EvenBlocks(terrain.container, terrain.decoder)
+    terrain: TerrainFile
+    source: SourceWindows
+    allowed: float
+    has_digests: bool
+    count: Callable[[int], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        self._even = EvenBlocks(self.terrain.container, self.terrain.decoder)
         # Places of tiles are those of the first block.
         self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
 
@@ -169,18 +159,18 @@ class Comparison:
         all_found = []
         for one in whole:
             all_found.append(self._block(one) if isinstance(one, Block) else self._window(one))
-            self._count(_n_samples(self._terrain.grid, one))
+            self.count(_n_samples(self.terrain.grid, one))
         return together(all_found)
 
     def _window(self, window: Region) -> Proved:
-        return compare_window(self._terrain, self._source, window, self._allowed, self._has_digests)
+        return compare_window(self.terrain, self.source, window, self.allowed, self.has_digests)
 
     def shares(
         self, source: IndexedWindows, within: Region | None = None
     ) -> Iterator[Sequence[Region | Block]]:
         """Yield the shares of `unproved` in portions, as there may be millions."""
-        grid = self._terrain.grid
-        whole = unproved(self._terrain, source, grid, within)
+        grid = self.terrain.grid
+        whole = unproved(self.terrain, source, grid, within)
         while batch := list(islice(whole, _BATCH)):
             yield from ([one] for one in batch if isinstance(one, Block))
             windows = [one for one in batch if isinstance(one, Region)]
@@ -188,8 +178,8 @@ class Comparison:
 
     def _block(self, block: Block) -> Proved:
         """Compare all below a block on which the source has one height."""
-        region = _own_samples(self._terrain.grid, block)
-        raw = self._source.read(region.row, region.col, 1, 1)[0]
+        region = _own_samples(self.terrain.grid, block)
+        raw = self.source.read(region.row, region.col, 1, 1)[0]
         content = self._even.content(block)
         if content is None:
             return self._below(block, raw)
@@ -204,13 +194,13 @@ class Comparison:
 
     def _below(self, block: Block, raw: NDArray[np.generic]) -> Proved:
         """Compare all below a block on which all originals equal the one of `raw`."""
-        grid, quantizer = self._terrain.grid, self._terrain.quantizer
+        grid, quantizer = self.terrain.grid, self.terrain.quantizer
         heights = None if quantizer.remainder_bytes else self._even.below(block)
         if heights is not None:
             decoded = quantizer.dequantize(np.array([[*heights]], dtype=np.int32))
             errors = np.abs(decoded.astype(np.float64) - raw.astype(np.float64))
-            is_good = errors.max() <= self._allowed
-            if is_good and not self._has_digests:
+            is_good = errors.max() <= self.allowed
+            if is_good and not self.has_digests:
                 return Proved(float(errors.max()), {})
             if is_good and len(heights) == 1:
                 shape, places = (TILE, TILE), _own_samples(grid, block).tiles(TILE, TILE)
@@ -229,13 +219,7 @@ def _side_of(grid: Grid) -> int:
 def compare_window(
     terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float, has_digests: bool
 ) -> Proved:
-    """Return the largest error in a window, and the digests of its tiles if `has_digests`.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than `allowed` from the original, or valid where that is void.
-    """
+    """Return the largest error in a window, and the digests of its tiles if `has_digests`."""
     raw, valid = source.read(*region)
     decoded, decoded_valid = terrain.read_with_mask(region)
     if not np.array_equal(valid, decoded_valid):
@@ -275,7 +259,6 @@ def _compare_bits(
 def _largest_error(
     raw: NDArray[np.generic], decoded: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> float:
-    """Return the largest difference of valid heights; at least one is valid."""
     is_whole = bool(valid.all())
     if raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2:
         # Differences have 17 bits; masking them is faster than selecting valid ones.

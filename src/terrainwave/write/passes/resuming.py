@@ -93,7 +93,6 @@ def _asked_for(src: Any) -> Any:
 
 
 def note_that_removed(why: str) -> None:
-    """Warn that the work of an earlier run was of no use."""
     warnings.warn(
         TerrainwaveWarning(f"unfinished work of an earlier run is removed: {why}"), stacklevel=2
     )
@@ -148,7 +147,6 @@ class KeptUnits:
         return None if self._kept.get(name) is None else Found.from_bytes(self._kept.data(name))
 
     def save(self, head: Block, found: Found) -> None:
-        """Store the results of a subtree."""
         self._kept.put(self._name_of(head), {}, found.to_bytes())
 
     def _name_of(self, head: Block) -> str:
