@@ -45,21 +45,11 @@ class Axis(NamedTuple):
 
 
 class Vertical(NamedTuple):
-    """Vertical axis of a CRS.
+    """Vertical axis of a CRS, with metres per unit.
 
-    Parameters
-    ----------
-    name : str
-        Of the vertical CRS, such as ``NAVD88 height``; of a CRS with three axes that of the axis.
-    unit : str
-    metres : float
-        Per unit.
-    is_down : bool
-        Numbers are depths.
-    is_ellipsoidal : bool
-        Heights are above the ellipsoid, not above a geoid or a tide.
-    datum : str
-        Its name; empty for a CRS of three axes.
+    `name` is that of the vertical CRS, such as ``NAVD88 height``; of a CRS with three axes that of
+    the axis, and `datum` is empty. `is_down`: numbers are depths; `is_ellipsoidal`: heights are
+    above the ellipsoid, not above a geoid or a tide.
     """
 
     name: str
@@ -71,20 +61,11 @@ class Vertical(NamedTuple):
 
 
 class Description(NamedTuple):
-    """Properties of a CRS, as plain values.
+    """Properties of a CRS, as plain values; x and y in the order of GDAL's coordinates.
 
-    Parameters
-    ----------
-    kind : str
-        ``geographic``: plain longitudes and latitudes; ``derived``: those of a rotated pole or
-        another derived system; ``projected``; ``other``: local and geocentric ones.
-    x, y : Axis
-        In the order of GDAL's coordinates.
-    vertical : Vertical or None
-    iau_code : int or None
-        The code, if the authority is the IAU.
-    radius : float or None
-        Semi-major axis of its ellipsoid in metres.
+    `kind` is ``geographic``: plain longitudes and latitudes; ``derived``: those of a rotated pole
+    or another derived system; ``projected``; or ``other``: local and geocentric ones. `iau_code` is
+    the code if the authority is the IAU, `radius` the ellipsoid's semi-major axis in metres.
     """
 
     kind: str
@@ -154,18 +135,14 @@ def read_projjson(told: dict[str, Any]) -> Description:
         if len(axes) > 1
         else [Axis("easting", "east", "unknown", 1.0), Axis("northing", "north", "unknown", 1.0)]
     )
-    if _is_north_first(x, y):
+    are_swapped = x.name.lower().startswith("northing") and y.name.lower().startswith("easting")
+    around_pole = are_swapped and x.direction == y.direction
+    if (x.direction, y.direction) == ("north", "east") or around_pole:
         x, y = y, x
     kind = _KINDS.get(str(flat.get("type")), OTHER)
     if flat.get("coordinate_system", {}).get("subtype") == "spherical" and len(axes) == 2:
         kind = GEOGRAPHIC  # longitudes and planetocentric latitudes
     return Description(kind, x, y, _vertical(vertical, axes), _iau_code(told), _radius(flat))
-
-
-def _is_north_first(x: Axis, y: Axis) -> bool:
-    names = x.name.lower().startswith("northing") and y.name.lower().startswith("easting")
-    around_pole = names and x.direction == y.direction
-    return (x.direction, y.direction) == ("north", "east") or around_pole
 
 
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:

@@ -43,16 +43,9 @@ _RADIUS_SHARE, _LEAST_BODY = 0.1, 100_000.0
 class Told(NamedTuple):
     """Meaning of the numbers by metadata and names.
 
-    Parameters
-    ----------
-    kind : {"height", "depth", "radius"} or None
-        ``height`` only if that contradicts the CRS's vertical axis.
-    by : str
-        The source of this meaning, in few words.
-    is_name : bool
-        Based only on a name, which other numbers may have too.
-    note : str
-        A contradiction in the metadata, as a sentence; else empty.
+    `kind` is one of `KINDS`, ``height`` only if that contradicts the CRS's vertical axis; `by` its
+    source in few words, `is_name` if that is only a name, which other numbers may have too; `note`
+    a contradiction in the metadata, as a sentence.
     """
 
     kind: str | None = None
@@ -62,10 +55,7 @@ class Told(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names of a band or array: variable and title.
-
-    `has_length` is False if its unit is not a length. `driver` is GDAL's, for files.
-    """
+    """Names of a band or array; `has_length`: its unit is a length; `driver`: GDAL's, for files."""
 
     variable: str | None = None
     title: str | None = None

@@ -182,19 +182,11 @@ class Place:
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])
 
     def local_axes(self, x: float, y: float, *, most: float | None = None) -> LocalAxes:
-        """Return the metres of steps along x and y at a point.
+        """Return the metres of steps along x and along y at a point.
 
         Degrees use the ellipsoid's radii of curvature there; lengths on maps are used directly.
-
-        Parameters
-        ----------
-        most : float, optional
-            Latitude in degrees that replaces all beyond it.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If the point is at a pole, where degrees of longitude have no length.
+        `most` is a latitude in degrees that replaces all beyond it. Without it points at a pole,
+        where degrees of longitude have no length, raise `InvalidArgumentError`.
         """
         east = north = self.unit
         if self.in_degrees:
@@ -256,8 +248,6 @@ def place_of(
 
     Parameters
     ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT.
     bounds : (left, bottom, right, top)
         Range of the coordinates, used if there is no CRS.
     is_placed : bool
@@ -266,13 +256,6 @@ def place_of(
         Radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
     has_frames : bool
         True if the caller also has an argument `frame`, which the warning then names.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `radius` is not positive, or is given for coordinates that are not degrees.
-    TerrainwaveError
-        If there is a CRS and pyproj is missing.
     """
     if radius is not None:
         radius = checked_number("radius", radius, above=0, expected="metres > 0")

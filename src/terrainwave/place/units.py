@@ -51,18 +51,10 @@ _SAME_UNIT = 1e-7
 
 
 class HeightUnit(NamedTuple):
-    """Unit of heights.
+    """Unit of heights: its name, if it has one, and where that is from (`BAND` or `CRS`).
 
-    Parameters
-    ----------
-    name : str or None
-        None if it is not named.
-    source : {"band", "CRS"} or None
-        Origin of the name.
-    vertical : Vertical or None
-        Vertical axis of the CRS.
-    kind : {"height", "depth", "radius"} or None
-        Meaning of the numbers; None if only the CRS states it.
+    `vertical` is the vertical axis of the CRS, `kind` one of `meaning.KINDS`, or None if only the
+    CRS states the meaning of the numbers.
     """
 
     name: str | None
@@ -154,14 +146,8 @@ def kind_problem(
     """Return the problem if a raster and a file have two of heights, depths and radii.
 
     None if the file's meaning is not that of its own tags and numbers: its maker chose it. A name
-    that was not trusted then only counts against other names.
-
-    Parameters
-    ----------
-    own : (heights_are, kind by its tags or numbers, CRS)
-        Of the file.
-    other : (kind by its tags or numbers, CRS)
-        Of the raster.
+    that was not trusted then only counts against other names. `own` are the file's `heights_are`,
+    kind by its tags or numbers, and CRS; `other` are the raster's kind and CRS.
     """
     heights_are, told, crs_text = own
     found = kind_name(other[0].kind, other[1])

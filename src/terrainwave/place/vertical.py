@@ -76,14 +76,9 @@ def describe_radii() -> dict[str, Any]:
 class EllipsoidalHeights:
     """Conversion to heights above the ellipsoid.
 
-    Parameters
-    ----------
-    description : str
-        PROJ's name of the operation; empty if heights are above the ellipsoid already.
-    grids : tuple of str
-        The files it reads.
-    target : str or None
-        Of `on_own_datum`: WKT of the CRS with ellipsoidal heights.
+    `description` is PROJ's name of the operation, empty if heights are above the ellipsoid already;
+    `grids` are the files that it reads; `target` of `on_own_datum` is the WKT of the CRS with
+    ellipsoidal heights.
     """
 
     description: str

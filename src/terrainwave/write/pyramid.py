@@ -155,26 +155,20 @@ class Level:
 class Pyramid:
     """Targets of all levels of a raster; the finest is read from the source when asked for.
 
+    Levels too large for memory are spooled in `directory`; those in the journal `kept` are left for
+    a later run, and taken from an earlier one.
+
     Parameters
     ----------
     kind : str
         ``"lowpass"``, ``"lowpass53"`` or ``"nested"``.
     has_voids : bool
         Whether any sample of the raster is void; without voids no masks and fills are kept.
-    directory : Path
-        Where levels too large for memory are spooled.
-    executor : Executor
-        Makes the windows of a level side by side.
-    part : Part, optional
+    part : SubtreeRegion, optional
         Make the levels of a part of the raster, of any kind but ``"lowpass53"``; where there are
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
-
-    Attributes
-    ----------
-    kept : Kept
-        Where levels are left for a later run, and taken from; not those of a part.
     """
 
     def __init__(
