@@ -118,7 +118,8 @@ class KeptUnits:
     def __init__(self, kept: Kept, grid: Grid, name: str) -> None:
         self._kept, self._name = kept, name
         # The coarsest level whose blocks are no wider; -1 if nothing is kept.
-        levels = (level for level in range(grid.k_max) if _side(grid, level) <= SUBTREE_SIDE)
+        sides = enumerate(grid.block * grid.stride(level) for level in range(grid.k_max))
+        levels = (level for level, side in sides if side <= SUBTREE_SIDE)
         self.level = next(levels, -1) if kept.is_on else -1
 
     def load(self, head: Block) -> Found | None:
@@ -131,7 +132,3 @@ class KeptUnits:
 
     def _name_of(self, head: Block) -> str:
         return f"{self._name}/{head.level}/{head.row}/{head.col}"
-
-
-def _side(grid: Grid, level: int) -> int:
-    return grid.block * grid.stride(level)
