@@ -26,9 +26,9 @@ from terrainwave.read.coded import EvenBlocks
 from terrainwave.verification import original
 from terrainwave.verification.original import Original
 from terrainwave.write import encoder
+from terrainwave.write.encoder import Repeats
 from terrainwave.write.passes import proof, resuming
 from terrainwave.write.passes.found import Found
-from terrainwave.write.passes.repeats import Repeats
 from terrainwave.write.passes.windows import check_free_space
 
 SIDE = 2600
@@ -325,7 +325,7 @@ def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch)
     monkeypatch.setattr(resuming, "LEAST_SAMPLES", 1)
     monkeypatch.setattr(resuming, "SUBTREE_SIDE", 1024)
     n_coded = n_kept = 0
-    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.UnitEncoder._encode_kept
+    code, encode_kept = encoder.TreeEncoder.code_unit, encoder.TreeEncoder._encode_kept
 
     def counted(*arguments):
         nonlocal n_coded
@@ -338,7 +338,7 @@ def test_sea_in_subtrees_that_are_kept_is_coded_once(sea, tmp_path, monkeypatch)
         return encode_kept(*arguments)
 
     monkeypatch.setattr(encoder.TreeEncoder, "code_unit", counted)
-    monkeypatch.setattr(encoder.UnitEncoder, "_encode_kept", noted)
+    monkeypatch.setattr(encoder.TreeEncoder, "_encode_kept", noted)
     tw.compress(sea[0], tmp_path / "kept.twz", block=32)
     assert (tmp_path / "kept.twz").read_bytes() == sea[1].read_bytes()
     assert n_kept > 3

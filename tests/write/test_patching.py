@@ -22,8 +22,8 @@ from terrainwave.errors import (
 )
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
-from terrainwave.write.patching import index
-from terrainwave.write.patching.patch_encoder import PatchEncoder
+from terrainwave.write.patching import patcher
+from terrainwave.write.patching.patcher import PatchEncoder
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)
@@ -278,13 +278,13 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
 @pytest.mark.large
 def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path, monkeypatch):
     """What stored heights stand in for is half a step and all earlier moves away from them."""
-    measure, added = index.measure_meshes, []
+    measure, added = patcher.measure_meshes, []
 
     def noted(*arguments):
         added.append(arguments[5])
         return measure(*arguments)
 
-    monkeypatch.setattr(index, "measure_meshes", noted)
+    monkeypatch.setattr(patcher, "measure_meshes", noted)
     part_of(changed(HEIGHTS, 100, 40), tmp_path / "new.tif", 100, 40, 9, 9)
     measured = terrainwave.store_meshes(moved, tmp_path / "measured.twz")
     patch(measured, tmp_path / "new.tif")
@@ -402,7 +402,7 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     path = placed(2)
     before = path.read_bytes()
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    monkeypatch.setattr(PatchEncoder, "kept", lambda *arguments: None)
+    monkeypatch.setattr(PatchEncoder, "restored", lambda *arguments: None)
     with pytest.raises(BoundViolationError, match="which the new raster does not cover, has moved"):
         patch(path, tmp_path / "new.tif")
     assert path.read_bytes() == before

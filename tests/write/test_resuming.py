@@ -22,7 +22,7 @@ from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWar
 from terrainwave.raster_io import source as source_module
 from terrainwave.raster_io import temporary
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write.encoder import UnitEncoder
+from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.passes import resuming
 from terrainwave.write.passes import seen as seen_module
 from terrainwave.write.passes import windows as windows_module
@@ -179,7 +179,7 @@ def test_a_run_goes_on_after_kills_at_any_moment(
 def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     target = tmp_path / "out.twz"
     units, reads = [], []
-    encode, read = UnitEncoder._encode_unit, RasterSource.read
+    encode, read = TreeEncoder._encode_unit, RasterSource.read
 
     def noting(self, start):
         units.append(start.key)
@@ -192,7 +192,7 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
     def failing(*_):
         raise StorageError("no proof")
 
-    monkeypatch.setattr(UnitEncoder, "_encode_unit", noting)
+    monkeypatch.setattr(TreeEncoder, "_encode_unit", noting)
     monkeypatch.setattr(RasterSource, "read", reading)
     with monkeypatch.context() as broken:
         broken.setattr("terrainwave.write.local.LocalPasses.prove", failing)

@@ -25,7 +25,6 @@ def body_of(description: "Description | None", ellipsoid: "Ellipsoid") -> str:
 
 
 def body_of_radius(radius: float) -> str:
-    """Return the body with an equatorial radius in metres."""
     if abs(radius - _EARTH_RADIUS) <= _EARTH_SHARE * _EARTH_RADIUS:
         return EARTH
     for name, (least, largest) in _RADII.items():

@@ -81,18 +81,12 @@ def is_exact(crs: CRS | None) -> bool:
 
 def _said_of(crs: CRS) -> _Said:
     """Return the text of a CRS; PROJ is asked only once about each, which takes milliseconds."""
-    return _SAID.get_or_make(_texts_of(crs), lambda: _say(crs))
-
-
-def _texts_of(crs: CRS) -> tuple[str, ...]:
-    """Return WKT texts of a CRS that together describe it completely.
-
-    Not WKT1 by name: if it cannot represent a system, GDAL's error appears at rasterio's next call.
-    """
+    # Together they describe it completely. Not WKT1 by name: if it cannot represent a system,
+    # GDAL's error appears at rasterio's next call.
     texts = [str(crs.to_wkt())]
     with contextlib.suppress(CRSError):
         texts.append(str(crs.to_wkt(version=_WKT_VERSIONS[0])))
-    return tuple(texts)
+    return _SAID.get_or_make(tuple(texts), lambda: _say(crs))
 
 
 def _say(crs: CRS) -> _Said:

@@ -45,21 +45,11 @@ class Axis(NamedTuple):
 
 
 class Vertical(NamedTuple):
-    """Vertical axis of a CRS.
+    """Vertical axis of a CRS, with metres per unit.
 
-    Parameters
-    ----------
-    name : str
-        Of the vertical CRS, such as ``NAVD88 height``; of a CRS with three axes that of the axis.
-    unit : str
-    metres : float
-        Per unit.
-    is_down : bool
-        Numbers are depths.
-    is_ellipsoidal : bool
-        Heights are above the ellipsoid, not above a geoid or a tide.
-    datum : str
-        Its name; empty for a CRS of three axes.
+    `name` is that of the vertical CRS, such as ``NAVD88 height``; of a CRS with three axes that of
+    the axis, and `datum` is empty. `is_down`: numbers are depths; `is_ellipsoidal`: heights are
+    above the ellipsoid, not above a geoid or a tide.
     """
 
     name: str
@@ -71,20 +61,11 @@ class Vertical(NamedTuple):
 
 
 class Description(NamedTuple):
-    """Properties of a CRS, as plain values.
+    """Properties of a CRS, as plain values; x and y in the order of GDAL's coordinates.
 
-    Parameters
-    ----------
-    kind : str
-        ``geographic``: plain longitudes and latitudes; ``derived``: those of a rotated pole or
-        another derived system; ``projected``; ``other``: local and geocentric ones.
-    x, y : Axis
-        In the order of GDAL's coordinates.
-    vertical : Vertical or None
-    iau_code : int or None
-        The code, if the authority is the IAU.
-    radius : float or None
-        Semi-major axis of its ellipsoid in metres.
+    `kind` is ``geographic``: plain longitudes and latitudes; ``derived``: those of a rotated pole
+    or another derived system; ``projected``; or ``other``: local and geocentric ones. `iau_code` is
+    the code if the authority is the IAU, `radius` the ellipsoid's semi-major axis in metres.
     """
 
     kind: str
@@ -116,38 +97,33 @@ def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def describe_crs(crs_text: str | None) -> Description | None:
-    """Return the description of a CRS; None, with `parse_crs`'s warning, if it cannot be read.
+    """Return the description of a CRS; None, with `parse_crs`'s warning, if it cannot be read."""
+    found = describe_quietly(crs_text)
+    if found is None:
+        from terrainwave.place.crs import parse_crs
 
-    Parameters
-    ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT. It may come from an untrusted file.
-    """
-    if crs_text is None:
-        return None
-    from terrainwave.place.crs import parse_crs
-
-    crs = parse_crs(crs_text)
-    return None if crs is None else _described(crs_text)
+        parse_crs(crs_text)
+    return found
 
 
 def describe_quietly(crs_text: str | None) -> Description | None:
     """Return `describe_crs`'s result without a warning, which opening the file has issued."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TerrainwaveWarning)
-        return describe_crs(crs_text)
+    return None if crs_text is None else _described(crs_text)
 
 
 @lru_cache(_CACHED)
-def _described(crs_text: str) -> Description:
+def _described(crs_text: str) -> Description | None:
     from rasterio.errors import CRSError
 
     from terrainwave.place.crs import parse_crs
 
-    crs, told = parse_crs(crs_text), dict[str, Any]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        crs = parse_crs(crs_text)
+    told = dict[str, Any]()
     with contextlib.suppress(CRSError, ValueError, TypeError):
         told = {} if crs is None else crs.to_dict(projjson=True)
-    return read_projjson(told)
+    return None if crs is None else read_projjson(told)
 
 
 def read_projjson(told: dict[str, Any]) -> Description:
@@ -159,7 +135,9 @@ def read_projjson(told: dict[str, Any]) -> Description:
         if len(axes) > 1
         else [Axis("easting", "east", "unknown", 1.0), Axis("northing", "north", "unknown", 1.0)]
     )
-    if _is_north_first(x, y):
+    are_swapped = x.name.lower().startswith("northing") and y.name.lower().startswith("easting")
+    around_pole = are_swapped and x.direction == y.direction
+    if (x.direction, y.direction) == ("north", "east") or around_pole:
         x, y = y, x
     kind = _KINDS.get(str(flat.get("type")), OTHER)
     if flat.get("coordinate_system", {}).get("subtype") == "spherical" and len(axes) == 2:
@@ -167,20 +145,10 @@ def read_projjson(told: dict[str, Any]) -> Description:
     return Description(kind, x, y, _vertical(vertical, axes), _iau_code(told), _radius(flat))
 
 
-def _is_north_first(x: Axis, y: Axis) -> bool:
-    names = x.name.lower().startswith("northing") and y.name.lower().startswith("easting")
-    around_pole = names and x.direction == y.direction
-    return (x.direction, y.direction) == ("north", "east") or around_pole
-
-
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
     """Return the name and the compound CRS of a vertical CRS that only one of two has.
 
     None if they differ in anything else. The second result is a text for GDAL.
-
-    Parameters
-    ----------
-    one, other : rasterio.crs.CRS
     """
     told = [crs.to_dict(projjson=True) for crs in (one, other)]
     for compound, plain in (told, told[::-1]):
@@ -199,7 +167,6 @@ def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
 
 
 def _core(told: Any) -> Any:
-    """Return the definition in a CRS, without names and remarks."""
     if isinstance(told, dict):
         left_out = ("$schema", "id", "ids", "scope", "area", "bbox", "usages", "remarks")
         return {key: _core(value) for key, value in told.items() if key not in left_out}

@@ -43,16 +43,9 @@ _RADIUS_SHARE, _LEAST_BODY = 0.1, 100_000.0
 class Told(NamedTuple):
     """Meaning of the numbers by metadata and names.
 
-    Parameters
-    ----------
-    kind : {"height", "depth", "radius"} or None
-        ``height`` only if that contradicts the CRS's vertical axis.
-    by : str
-        The source of this meaning, in few words.
-    is_name : bool
-        Based only on a name, which other numbers may have too.
-    note : str
-        A contradiction in the metadata, as a sentence; else empty.
+    `kind` is one of `KINDS`, ``height`` only if that contradicts the CRS's vertical axis; `by` its
+    source in few words, `is_name` if that is only a name, which other numbers may have too; `note`
+    a contradiction in the metadata, as a sentence.
     """
 
     kind: str | None = None
@@ -62,10 +55,7 @@ class Told(NamedTuple):
 
 
 class Names(NamedTuple):
-    """Names of a band or array: variable and title.
-
-    `has_length` is False if its unit is not a length. `driver` is GDAL's, for files.
-    """
+    """Names of a band or array; `has_length`: its unit is a length; `driver`: GDAL's, for files."""
 
     variable: str | None = None
     title: str | None = None
@@ -82,16 +72,7 @@ def check_kind(heights_are: str | None) -> None:
 
 
 def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Told:
-    """Return the meaning of the numbers by attributes or tags, else by names.
-
-    Parameters
-    ----------
-    marks : mapping
-        Attributes of the array, or tags of the band.
-    names : Names
-    crs_text : str, optional
-        Its vertical axis may point down.
-    """
+    """Return the meaning of the numbers by attributes or tags, else by names."""
     said = {name.lower(): str(value).strip().lower() for name, value in marks.items()}
     title = " ".join((names.title or "").lower().split())
     positive = said.get(POSITIVE, "")
@@ -146,13 +127,7 @@ def settled_kind(
 ) -> Settled:
     """Return the meaning of the numbers, by metadata, names and their values.
 
-    Parameters
-    ----------
-    told : Told
-    crs_text : str, optional
-    metres : (low, high)
-        Of all valid numbers, with their original sign.
-    is_mostly_negative : bool
+    `metres` is the range of all valid numbers, with their original sign.
     """
     if told.kind == DEPTH and told.is_name and is_mostly_negative:
         return Settled(
@@ -189,11 +164,7 @@ def settled_kind(
 def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bool | None:
     """Return whether all numbers are near the radius of the CRS's body; None without any.
 
-    Parameters
-    ----------
-    crs_text : str, optional
-    metres : iterable of (low, high)
-        Of parts of the raster; read up to the first part with other numbers.
+    `metres` are the ranges of parts of the raster; read up to the first part with other numbers.
     """
     radius, found = _radius_of_body(crs_text), None
     if not radius:
@@ -208,15 +179,7 @@ def are_radii(crs_text: str | None, metres: Iterable[tuple[float, float]]) -> bo
 def by_numbers(
     told: Told, crs_text: str | None, metres: Iterable[tuple[float, float]]
 ) -> Told | None:
-    """Return the meaning of a raster's numbers, told or else by all of them; None without any.
-
-    Parameters
-    ----------
-    told : Told
-    crs_text : str, optional
-    metres : iterable of (low, high)
-        As in `are_radii`.
-    """
+    """Return the meaning of numbers, told or by all of them (`are_radii`); None without any."""
     if told.kind is not None:
         return told
     found = are_radii(crs_text, metres)

@@ -136,18 +136,9 @@ class Place:
         return bool(self.unit == 1 and system.flat.equals(system.globe, ignore_axis_order=True))
 
     def to_lonlat(self, xy: Numbers) -> Numbers:
-        """Return longitudes and latitudes in degrees; NaN if a point has none.
+        """Return longitudes and latitudes in degrees of points (n_points, 2); NaN if one has none.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
-
-        Parameters
-        ----------
-        xy : ndarray of float64, shape (n_points, 2)
-
-        Raises
-        ------
-        InvalidHeightsError
-            If there is no CRS, or nothing geographic behind it.
         """
         if self.is_lonlat:
             return xy * self.unit
@@ -191,19 +182,11 @@ class Place:
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])
 
     def local_axes(self, x: float, y: float, *, most: float | None = None) -> LocalAxes:
-        """Return the metres of steps along x and y at a point.
+        """Return the metres of steps along x and along y at a point.
 
         Degrees use the ellipsoid's radii of curvature there; lengths on maps are used directly.
-
-        Parameters
-        ----------
-        most : float, optional
-            Latitude in degrees that replaces all beyond it.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If the point is at a pole, where degrees of longitude have no length.
+        `most` is a latitude in degrees that replaces all beyond it. Without it points at a pole,
+        where degrees of longitude have no length, raise `InvalidArgumentError`.
         """
         east = north = self.unit
         if self.in_degrees:
@@ -265,8 +248,6 @@ def place_of(
 
     Parameters
     ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT.
     bounds : (left, bottom, right, top)
         Range of the coordinates, used if there is no CRS.
     is_placed : bool
@@ -275,13 +256,6 @@ def place_of(
         Radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
     has_frames : bool
         True if the caller also has an argument `frame`, which the warning then names.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `radius` is not positive, or is given for coordinates that are not degrees.
-    TerrainwaveError
-        If there is a CRS and pyproj is missing.
     """
     if radius is not None:
         radius = checked_number("radius", radius, above=0, expected="metres > 0")
@@ -314,16 +288,6 @@ def impossible_places(
 
     Centres of samples may lie a tenth of a pixel beyond a pole, which rounding explains; outer
     edges of a grid with samples on the pole lie half a pixel beyond it.
-
-    Parameters
-    ----------
-    crs_text : str, optional
-        ``AUTH:CODE`` or WKT. Without a CRS nothing is impossible.
-    transform : sequence of 6 float
-        From columns and rows to x and y.
-    shape : (rows, columns)
-    is_placed : bool
-        False for an array without georeference, whose columns and rows are not degrees.
     """
     told = describe_quietly(crs_text)
     if told is None or not told.in_degrees or not is_placed:
@@ -375,7 +339,6 @@ def _guess(
 
 
 def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, str]:
-    """Return the names of x and y of a CRS, with their unit."""
     if not is_placed:
         return "x, samples", "y, samples"
     told = describe_quietly(crs_text)

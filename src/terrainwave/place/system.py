@@ -29,26 +29,12 @@ _LONGITUDE_LATITUDE = {
 
 
 def need_pyproj(*, extra: str = "mesh", purpose: str = "a coordinate reference system") -> Any:
-    """Return pyproj.
-
-    Raises
-    ------
-    TerrainwaveError
-        If it is missing; the message names the extra that installs it.
-    """
     need("pyproj.exceptions", extra=extra, purpose=purpose)
     return need("pyproj", extra=extra, purpose=purpose)
 
 
 class System:
-    """A CRS: its description, ellipsoid and body, and conversion to longitude and latitude.
-
-    Parameters
-    ----------
-    crs_text : str
-        ``AUTH:CODE`` or WKT.
-    description : Description
-    """
+    """A CRS: its description, ellipsoid and body, and conversion to longitude and latitude."""
 
     def __init__(self, crs_text: str, description: Description) -> None:
         self.text = crs_text
@@ -77,11 +63,6 @@ class System:
         """Return pyproj's CRS of longitude and latitude in degrees on the body.
 
         WGS 84 for the Earth, else the datum that the CRS is based on.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If the CRS is not based on one.
         """
         pyproj = need_pyproj()
         base = None if self.known is None else self.known.geodetic_crs
@@ -116,20 +97,10 @@ class System:
             ) from error
 
     def to_globe(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return longitudes and latitudes in degrees; NaN if a point has none.
-
-        Parameters
-        ----------
-        xy : ndarray of float64, shape (n_points, 2)
-
-        Returns
-        -------
-        ndarray of float64, shape (n_points, 2)
-        """
+        """Return longitudes and latitudes in degrees; NaN if a point has none."""
         return moved(self._to_globe, xy)
 
     def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return x and y of longitudes and latitudes; NaN where undefined."""
         return moved(self._from_globe, lonlat)
 
 
@@ -145,13 +116,7 @@ def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_of(crs_text: str | None) -> System | None:
-    """Return the system of a CRS; None, with a warning, if it cannot be parsed.
-
-    Raises
-    ------
-    TerrainwaveError
-        If pyproj is missing.
-    """
+    """Return the system of a CRS; None, with a warning, if it cannot be parsed."""
     description = describe_crs(crs_text)
     if crs_text is None or description is None:
         return None

@@ -51,18 +51,10 @@ _SAME_UNIT = 1e-7
 
 
 class HeightUnit(NamedTuple):
-    """Unit of heights.
+    """Unit of heights: its name, if it has one, and where that is from (`BAND` or `CRS`).
 
-    Parameters
-    ----------
-    name : str or None
-        None if it is not named.
-    source : {"band", "CRS"} or None
-        Origin of the name.
-    vertical : Vertical or None
-        Vertical axis of the CRS.
-    kind : {"height", "depth", "radius"} or None
-        Meaning of the numbers; None if only the CRS states it.
+    `vertical` is the vertical axis of the CRS, `kind` one of `meaning.KINDS`, or None if only the
+    CRS states the meaning of the numbers.
     """
 
     name: str | None
@@ -102,7 +94,6 @@ class HeightUnit(NamedTuple):
 
     @property
     def is_radius(self) -> bool:
-        """Return whether the numbers are distances from the centre of the body."""
         return self.kind == RADIUS
 
     def note_kind(self) -> None:
@@ -135,16 +126,7 @@ class HeightUnit(NamedTuple):
 def height_unit(
     units: str | None, crs_text: str | None, heights_are: str | None = None
 ) -> HeightUnit:
-    """Return the unit of heights: the band's, else that of the CRS's vertical axis.
-
-    Parameters
-    ----------
-    units : str, optional
-        The band's unit.
-    crs_text : str, optional
-    heights_are : {"height", "depth", "radius"}, optional
-        As in `RasterInfo`.
-    """
+    """Return the unit of heights: the band's, else that of the CRS's vertical axis."""
     vertical = vertical_of(crs_text)
     if units and units.strip() and _plain(units) not in _NO_UNIT:
         return HeightUnit(units.strip(), BAND, vertical, heights_are)
@@ -164,14 +146,8 @@ def kind_problem(
     """Return the problem if a raster and a file have two of heights, depths and radii.
 
     None if the file's meaning is not that of its own tags and numbers: its maker chose it. A name
-    that was not trusted then only counts against other names.
-
-    Parameters
-    ----------
-    own : (heights_are, kind by its tags or numbers, CRS)
-        Of the file.
-    other : (kind by its tags or numbers, CRS)
-        Of the raster.
+    that was not trusted then only counts against other names. `own` are the file's `heights_are`,
+    kind by its tags or numbers, and CRS; `other` are the raster's kind and CRS.
     """
     heights_are, told, crs_text = own
     found = kind_name(other[0].kind, other[1])
@@ -245,7 +221,6 @@ def _note_on(name: str, other_name: str, unit: str | None) -> str:
 
 
 def vertical_of(crs_text: str | None) -> Vertical | None:
-    """Return the vertical part of a CRS, if it has one."""
     description = describe_quietly(crs_text)
     return None if description is None else description.vertical
 
@@ -280,13 +255,11 @@ def _is_same(length: float | None, other: float | None) -> bool:
 
 
 def is_length(units: str | None) -> bool:
-    """Return whether a unit is a known length, or missing."""
     unit = height_unit(units, None)
     return unit.name is None or unit.length is not None
 
 
 def _plain(units: str) -> str:
-    """Return the normalised name of a unit."""
     for mark, plain in (("[", " "), ("]", " "), ("_", " "), (".", ""), ("\u03bc", "\u00b5")):
         units = units.replace(mark, plain)
     return " ".join(_HYPHEN.sub(" ", units.lower()).split())

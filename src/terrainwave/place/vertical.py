@@ -9,6 +9,7 @@ import os
 import re
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -38,13 +39,7 @@ _MOST_NAMED = 6
 
 
 def check_vertical(vertical: str) -> bool:
-    """Return whether heights must be converted to the ellipsoid.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the word is not in `VERTICAL`.
-    """
+    """Return whether heights must be converted to the ellipsoid."""
     check_choice("vertical", vertical, VERTICAL)
     return vertical == ELLIPSOID
 
@@ -67,7 +62,6 @@ def _reference(told: Vertical) -> str:
 
 
 def describe_as_is(crs_text: str | None) -> dict[str, str]:
-    """Return the metadata of unconverted heights."""
     told = vertical_of(crs_text)
     if told is None:
         return {"heights": AS_IS}
@@ -75,7 +69,6 @@ def describe_as_is(crs_text: str | None) -> dict[str, str]:
 
 
 def describe_radii() -> dict[str, Any]:
-    """Return the metadata of heights that were radii."""
     return {"heights": ELLIPSOID, "operation": RADII, "grids": []}
 
 
@@ -83,14 +76,9 @@ def describe_radii() -> dict[str, Any]:
 class EllipsoidalHeights:
     """Conversion to heights above the ellipsoid.
 
-    Parameters
-    ----------
-    description : str
-        PROJ's name of the operation; empty if heights are above the ellipsoid already.
-    grids : tuple of str
-        The files it reads.
-    target : str or None
-        Of `on_own_datum`: WKT of the CRS with ellipsoidal heights.
+    `description` is PROJ's name of the operation, empty if heights are above the ellipsoid already;
+    `grids` are the files that it reads; `target` of `on_own_datum` is the WKT of the CRS with
+    ellipsoidal heights.
     """
 
     description: str
@@ -107,19 +95,7 @@ class EllipsoidalHeights:
         return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
-        """Return metres above the ellipsoid of heights in metres, upwards; NaN stays.
-
-        Parameters
-        ----------
-        x, y : ndarray of float64
-            Points in the raster's CRS.
-        heights : ndarray of float64, same shape
-
-        Raises
-        ------
-        InvalidHeightsError
-            If a point with a height is not covered by the grid.
-        """
+        """Return metres above the ellipsoid of heights in metres, upwards; NaN stays."""
         found = np.array(heights, dtype=np.float64)
         if self._has_radii:
             latitudes = self._place.to_lonlat(np.column_stack([x, y]))[:, 1]
@@ -153,7 +129,6 @@ class EllipsoidalHeights:
         return new
 
     def describe(self) -> dict[str, Any]:
-        """Return the metadata of these heights."""
         about: dict[str, Any] = {"heights": ELLIPSOID}
         if self.description:
             about |= {"operation": self.description, "grids": list(self.grids)}
@@ -170,36 +145,8 @@ class EllipsoidalHeights:
         return f"heights are above the ellipsoid, by PROJ's “{self.description}”{grids}"
 
 
-def onto_wgs84(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
-    """Return the conversion to heights above the ellipsoid of WGS 84.
-
-    Parameters
-    ----------
-    place : Place
-    bounds : (left, bottom, right, top)
-        Of the raster, by which PROJ chooses the operation.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the CRS has no vertical system, or PROJ has no operation or lacks files for it.
-    """
-    return _way(place, bounds, _WGS_84)
-
-
-def on_own_datum(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
-    """Return the conversion to heights above the ellipsoid of the raster's own CRS."""
-    return _way(place, bounds, None)
-
-
 def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
-    """Return the conversion of radii to heights above the ellipsoid of the raster's own CRS.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If PROJ has no conversion.
-    """
+    """Return the conversion of radii to heights above the ellipsoid of the raster's own CRS."""
     if place.system is None:
         raise InvalidHeightsError(
             "the raster has no coordinate reference system, so that nothing tells the radius of its"
@@ -209,9 +156,14 @@ def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
     return EllipsoidalHeights(RADII, (), target, None, place, 1.0, True)
 
 
-def _way(
-    place: Place, bounds: tuple[float, float, float, float], target: str | None
+def on_own_datum(
+    place: Place, bounds: tuple[float, float, float, float], target: str | None = None
 ) -> EllipsoidalHeights:
+    """Return the conversion to heights above the ellipsoid of the raster's own CRS, or a target's.
+
+    PROJ chooses the operation by the raster's bounds (left, bottom, right, top). Raise if the CRS
+    has no vertical system, or PROJ has no operation or lacks files for it.
+    """
     told = vertical_of(place.system.text if place.system is not None else None)
     if told is None or place.system is None:
         raise InvalidHeightsError(
@@ -237,8 +189,11 @@ def _way(
     )
 
 
+# Onto the ellipsoid of WGS 84.
+onto_wgs84 = partial(on_own_datum, target=_WGS_84)
+
+
 def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
-    """Return the part of the globe that bounds cover, for PROJ."""
     left, bottom, right, top = bounds
     x, y = np.meshgrid(np.linspace(left, right, _N_ALONG), np.linspace(bottom, top, _N_ALONG))
     lonlat = place.to_lonlat(np.column_stack([x.ravel(), y.ravel()]))

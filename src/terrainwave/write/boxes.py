@@ -1,7 +1,7 @@
 """Codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
@@ -53,10 +53,17 @@ class Codes:
     def set(
         self, spools: Iterable[SegmentSpool], mesh_errors: Mapping[Block, int] | None = None
     ) -> None:
-        """Set the codes of all blocks; `mesh_errors` of meshes that are measured."""
+        """Set the codes of all blocks; `mesh_errors` of meshes that are measured.
+
+        Of others readers compute them.
+        """
+        job, options = self._job, self._job.options
         if mesh_errors is None:
-            mesh_errors = unmeasured_mesh_codes(self._job, self._stats, self.errors)
-        set_codes(self._job.grid, spools, self._whole, self.boxes, self.errors, mesh_errors)
+            mesh_errors = {}
+            if options.mesh_kind != "none" and not options.measures_meshes:
+                meshed = [block for block, own in self._stats.items() if own.has_mesh]
+                mesh_errors = unmeasured_codes(job.grid, meshed, self.errors, job.mesh_tolerance)
+        set_codes(job.grid, spools, self._whole, self.boxes, self.errors, mesh_errors)
 
 
 def recursive_errors(
@@ -89,17 +96,6 @@ def recursive_errors(
     return errors
 
 
-def unmeasured_mesh_codes(job: Job, stats: Stats, errors: Mapping[Block, int]) -> dict[Block, int]:
-    """Return the error codes of meshes whose error readers compute.
-
-    Empty if the file has no meshes or all of them are measured.
-    """
-    if job.options.measures_meshes or job.options.mesh_kind == "none":
-        return {}
-    meshed = [block for block, own in stats.items() if own.has_mesh]
-    return unmeasured_codes(job.grid, meshed, errors, job.mesh_tolerance)
-
-
 def set_codes(
     grid: Grid,
     spools: Iterable[SegmentSpool],
@@ -107,23 +103,36 @@ def set_codes(
     boxes: Mapping[Block, Box],
     errors: Mapping[Block, int],
     mesh_errors: Mapping[Block, int],
-) -> None:
+    old: Callable[[Block], tuple[int, ...]] | None = None,
+) -> bool:
     """Set box and errors of every block, each box relative to its parent's in the segment.
 
-    `whole` is the range of the raster; blocks without a box have no valid sample.
+    `whole` is the range of the raster; blocks without a box have no valid sample. Codes of `old`
+    that decode to the same boxes stay, as coding a decoded box again may widen it. Return whether
+    any code differs from the old one.
     """
+    is_any_new = False
     for spool in spools:
-        decoded: dict[Block, Box] = defaultdict(lambda: whole)
+        before: dict[Block, Box] = defaultdict(lambda: whole)
+        after: dict[Block, Box] = defaultdict(lambda: whole)
         for key in sorted(spool.keys()):
+            was_outer, outer = before[key], after[key]
             codes = bytearray()
             for block in grid.key_blocks(key):
-                if block not in boxes:
-                    codes += bytes(4)
-                    continue
-                below, above = encode_range(*boxes[block], *decoded[key])
-                decoded[block] = decode_range(below, above, *decoded[key])
-                codes += bytes([below, above, errors[block], mesh_errors.get(block, 0)])
+                known = None if old is None else old(block)
+                ends, box = (0, 0), boxes.get(block)
+                if known is not None:
+                    before[block] = decode_range(known[0], known[1], *was_outer)
+                if known is not None and outer == was_outer and box == before[block]:
+                    ends = known[0], known[1]
+                elif box is not None:
+                    ends = encode_range(*box, *outer)
+                after[block] = decode_range(*ends, *outer)
+                new = (*ends, errors.get(block, 0), mesh_errors.get(block, 0))
+                is_any_new |= new != known
+                codes += bytes(4 if box is None and old is None else new)
             spool.set_codes(key, bytes(codes))
+    return is_any_new
 
 
 def enclosing_boxes(

@@ -9,15 +9,15 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from terrainwave.codec.refiner import Heights, Mask, Refiner
+from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
@@ -29,14 +29,14 @@ from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.sections import make_sections
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, groups_by
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes
+from terrainwave.write.compress_options import Options
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.local import Coded
 from terrainwave.write.passes.bench import AskedRaster, Bench
-from terrainwave.write.passes.proof import Proof, measured_error
+from terrainwave.write.passes.proof import collected, measured_error
 from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
@@ -54,7 +54,6 @@ from terrainwave.write.subtrees import (
     prove_region,
     push_levels,
     scan_region,
-    spool_of,
 )
 from terrainwave.write.tasks.workers import Workers
 
@@ -89,6 +88,13 @@ class Cluster:
     url: str | None
     task_samples: int
 
+    def passes(self, bench: Bench, options: Options) -> "DistributedPasses | None":
+        """Return the passes of `compress` shared out; None if the raster is one small task."""
+        info = bench.source.info
+        grid = Grid(info.n_rows, info.n_cols, options.block)
+        level = task_level(grid, self.task_samples)
+        return None if level is None else DistributedPasses(bench, self, grid, level, options)
+
 
 class DistributedPasses:
     """The passes of `compress`, shared out over a cluster.
@@ -96,11 +102,11 @@ class DistributedPasses:
     Tasks begin at blocks of `level`. Threads of the bench code the levels above.
     """
 
-    def __init__(self, bench: Bench, cluster: Cluster, grid: Grid, level: int, has_digest: bool):
+    def __init__(self, bench: Bench, cluster: Cluster, grid: Grid, level: int, options: Options):
         self.bench = bench
         self._workers, self._raster = cluster.workers, cluster.raster
         self._grid, self._level = grid, level
-        self._has_digest = has_digest
+        self._has_digest = options.keep_origin
         if cluster.url is None:
             root = bench.directory.absolute() / "depot"
             root.mkdir()
@@ -116,8 +122,7 @@ class DistributedPasses:
         self._names.append("begun")
         self._depot.save("begun")
         tasks = {
-            region: (self._raster, region, self._has_digest, steps)
-            for region in self._own_regions()
+            region: (self._raster, region, self._has_digest, steps) for region in self._regions()
         }
         for _, part in self._run("scanning", scan_region, tasks):
             whole.merge(part)
@@ -134,7 +139,7 @@ class DistributedPasses:
             site = replace(site, file_tables=file_tables)
             sink = SpoolSink(job.grid, self.bench.directory)
             encoder = TreeEncoder(
-                job.grid, refiner, job.parameters, top, sink, lambda _: None, self._level
+                job.grid, job.parameters, top, sink, refiner=refiner, last_level=self._level
             )
             encoder.run(self.bench.executor)
         finally:
@@ -142,9 +147,11 @@ class DistributedPasses:
         found, boxes, errors = encoder.found, dict[Block, Box](), dict[Block, int]()
         segments: dict[Block | None, StoredSegment] = {}
         n_bytes = sink.n_bytes + len(file_tables)
-        _set_no_codes(site.grid, sink)
+        for spool in sink.present():
+            for key in spool.keys():
+                spool.set_codes(key, bytes(N_CODES * len(site.grid.key_blocks(key))))
         self._store_top(site, ABOVE, sink)
-        with _Copies(site.depot, self.bench.directory) as copies:
+        with self._copied() as places:
             for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
                 found.note(encoded.ancestors)
                 if encoded.box is not None:
@@ -152,25 +159,23 @@ class DistributedPasses:
                 n_bytes += encoded.n_bytes
                 if not job.options.measures_meshes:
                     heads = site.grid.segment_heads_below(head)
-                    segments |= zip(heads, copies.places(encoded.places), strict=True)
+                    segments |= zip(heads, places(encoded.places), strict=True)
         codes = Codes(job, found.stats, boxes, errors)
         codes.set(sink.present())
         if job.options.measures_meshes:
-            segments = self._mesh(site, refiner, codes, sink)
+            segments = self._mesh(site, codes, sink)
         return Coded(file_tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file, compare every sample; return the largest error and digests of tiles."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self._raster, self._depot.root, job, self._level)
-        tasks = {region: (site, os.path.abspath(path), region) for region in self._proof_regions()}
-        proof = Proof((self._grid.n_rows, self._grid.n_cols))
-        for _, found in self._run("proving", prove_region, tasks):
-            proof.add(found)
-        return measured_error(proof.largest, job.quantizer), proof.tiles
+        tasks = {region: (site, os.path.abspath(path), region) for region in self._regions(TILE)}
+        found = (proved for _, proved in self._run("proving", prove_region, tasks))
+        largest, tiles = collected(found, (self._grid.n_rows, self._grid.n_cols))
+        return measured_error(largest, job.quantizer), tiles
 
     def close(self) -> None:
-        """Delete what tasks have left in the depot."""
         try:
             self._depot.remove(self._names)
         except StorageError as error:  # not a reason to lose the file
@@ -206,16 +211,12 @@ class DistributedPasses:
             report(n_tasks)
 
     def _region(self, item: Block | Region) -> Region:
-        """Return the samples that a task stands for."""
         return own_region(self._grid, item) if isinstance(item, Block) else item
 
-    def _own_regions(self) -> list[Region]:
-        return [own_region(self._grid, head) for head in self._grid.blocks(self._level)]
-
-    def _proof_regions(self) -> list[Region]:
-        """Return regions of whole tiles of digests, none smaller than those of other tasks."""
+    def _regions(self, side: int = 1) -> list[Region]:
+        """Return the regions of tasks, or of coarser blocks if these have fewer samples a side."""
         level = self._level
-        while level and self._grid.block * self._grid.stride(level) < TILE:
+        while level and self._grid.block * self._grid.stride(level) < side:
             level -= 1
         return [own_region(self._grid, head) for head in self._grid.blocks(level)]
 
@@ -265,7 +266,7 @@ class DistributedPasses:
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
         level_shape = site.grid.level_shape(site.level)
-        wanted = SubtreeRegion(region, site.shift).fill_region(site.shift)
+        wanted = SubtreeRegion(region, site.shift).made("fills", site.shift)
         wanted = wanted.intersect(Region(0, 0, *level_shape))
         return wanted, top.fills(site.shift, wanted)
 
@@ -281,16 +282,9 @@ class DistributedPasses:
             full = Region(
                 row << shift, col << shift, (n_rows - 1 << shift) + 1, (n_cols - 1 << shift) + 1
             )
-            part = site.pyramid(self.bench, full)
-            try:
-                if site.job.has_voids:
-                    at, fills = self._fills(site, top, full)
-                    part.push()
-                    part.pull(spool_of(fills, (at.row, at.col), self.bench.directory))
-                part.make_heights(lambda *_: None)
+            fills = self._fills(site, top, full) if site.job.has_voids else None
+            with site.levels(self.bench, full, fills) as part:
                 return part.heights(level, region), part.mask(level, region)
-            finally:
-                part.close()
 
         def heights(level: int, region: Region) -> Heights:
             return top.heights(level, region) if level <= site.level else below(level, region)[0]
@@ -301,20 +295,41 @@ class DistributedPasses:
         return heights, mask
 
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
-        self._names.append(site.top_name(stage))
+        self._names.append(site.name(stage))
         store_segments(site.depot, self._names[-1], site.grid, site.top_heads(), sink.spools)
+
+    @contextmanager
+    def _copied(self) -> Iterator[Callable[[Sequence[StoredSegment]], list[StoredSegment]]]:
+        """Yield what says where the segments of one entry will lie.
+
+        Those at a URL are copied to this machine while tasks are running: a file is put together
+        from segments one by one, and of a store each would be waited for.
+        """
+        copying: list[Future[None]] = []
+
+        def places(stored: Sequence[StoredSegment]) -> list[StoredSegment]:
+            if "://" not in self._depot.root or not any(place.length for place in stored):
+                return list(stored)
+            path = self.bench.directory / f"copied-{len(copying)}.twz-spool"
+            copying.append(pool.submit(self._depot.fetch, stored[0].path, path))
+            return [place._replace(path=str(path)) for place in stored]
+
+        with ThreadPoolExecutor(AT_A_TIME) as pool:
+            try:
+                yield places
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+            for copied in copying:
+                copied.result()
 
     # Meshes
 
-    def _mesh(
-        self, site: Site, refiner: Refiner, codes: Codes, sink: SpoolSink
-    ) -> dict[Block | None, StoredSegment]:
+    def _mesh(self, site: Site, codes: Codes, sink: SpoolSink) -> dict[Block | None, StoredSegment]:
         """Have meshes made and measured; return where the finished segments lie."""
         job, grid = site.job, site.grid
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
-        with site.segments(CODED, ABOVE) as stored:
-            source = groups_by(refiner, stored.payloads)
-            decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
+        with site.decoded(CODED, ABOVE) as (decoder, _):
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
                 grid, mesher, self.bench.executor, lambda _: None, range(site.level + 1)
@@ -325,11 +340,12 @@ class DistributedPasses:
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}
         errors: dict[Block, int] = {}
-        with _Copies(site.depot, self.bench.directory) as copies:
-            for head, finished in self._run("measuring meshes", finish_subtree, tasks, FINISHED):
-                places = copies.places(finished.places)
-                segments |= zip(grid.segment_heads_below(head), places, strict=True)
-                for block, error in finished.ancestors.items():
+        with self._copied() as places:
+            finished = self._run("measuring meshes", finish_subtree, tasks, FINISHED)
+            for head, (stored, ancestors) in finished:
+                heads = grid.segment_heads_below(head)
+                segments |= zip(heads, places(stored), strict=True)
+                for block, error in ancestors.items():
                     errors[block] = max(errors.get(block, 0), error)
         lost = Fraction(job.lost)
         mesh_errors = mesher.error_codes(errors, lost, by_recursion=job.options.faithful)
@@ -359,45 +375,7 @@ class DistributedPasses:
         return {head: (site, head) for head in site.grid.blocks(site.level)}
 
 
-_CACHE_BYTES = 128 << 20
 AT_A_TIME = 16  # requests to the depot
-
-
-class _Copies:
-    """Copies segments from a URL to this machine while tasks are running; others stay there.
-
-    A file is put together from segments one by one: of a store, each would be waited for.
-    """
-
-    def __init__(self, depot: Depot, directory: Path) -> None:
-        self._depot = depot
-        self._directory = directory
-        self._copied: list[Future[None]] = []
-        self._pool = ThreadPoolExecutor(AT_A_TIME) if "://" in depot.root else None
-
-    def places(self, places: Sequence[StoredSegment]) -> list[StoredSegment]:
-        """Return where the segments of one entry will lie."""
-        if self._pool is None or not any(place.length for place in places):
-            return list(places)
-        path = self._directory / f"copied-{len(self._copied)}.twz-spool"
-        self._copied.append(self._pool.submit(self._depot.fetch, places[0].path, path))
-        return [place._replace(path=str(path)) for place in places]
-
-    def __enter__(self) -> "_Copies":
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=kind is not None)
-        if kind is None:
-            for copied in self._copied:
-                copied.result()
-
-
-def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:
-    for spool in sink.present():
-        for key in spool.keys():
-            spool.set_codes(key, bytes(N_CODES * len(grid.key_blocks(key))))
 
 
 def _n_samples(region: Region) -> int:

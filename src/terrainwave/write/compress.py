@@ -11,11 +11,10 @@ import math
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 from terrainwave.arguments import (
     TWZ_ENDINGS,
@@ -24,42 +23,35 @@ from terrainwave.arguments import (
     checked_path,
     checked_whole,
 )
-from terrainwave.codec.method_options import MethodChoice, MethodOptions
+from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.container.targets.kept import Kept
 from terrainwave.container.targets.publication import (
     publish,
     refuse_own_source,
     system_scratch,
 )
-from terrainwave.container.targets.unfinished import Part, only_writer
+from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.quadtree import Grid
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.files import stamps_of
-from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
 from terrainwave.tri.mesh_options import MeshOptions
-from terrainwave.write.cluster import (
-    TASK_SAMPLES,
-    Cluster,
-    DistributedPasses,
-    task_level,
-)
 from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import earlier_of, for_heights_of
-from terrainwave.write.job import Job, fixed_steps, settled
-from terrainwave.write.local import Coded, LocalPasses, smaller
+from terrainwave.write.job import fixed_steps, settled
+from terrainwave.write.local import LocalPasses, smaller
 from terrainwave.write.passes.bench import AskedRaster, Bench
 from terrainwave.write.passes.resuming import run_directory, taken_up
 from terrainwave.write.passes.windows import changed
-from terrainwave.write.tasks.workers import Workers
+
+if TYPE_CHECKING:
+    from terrainwave.write.cluster import Cluster, DistributedPasses
 
 _log = logging.getLogger(__name__)
 
@@ -247,42 +239,67 @@ def compress(
     if temp_dir is not None:
         temp_dir = checked_path(temp_dir, "temp_dir")
     reporter = Reporter(progress)
-    cluster = None
-    if client is not None:
-        _refuse_tiles(options)
-        url = None if temp_dir is None or "://" not in os.fspath(temp_dir) else os.fspath(temp_dir)
-        temp_dir = temp_dir if url is None else None
-        cluster = Cluster(Workers(client), raster.shared(), url, task_samples or TASK_SAMPLES)
-    elif task_samples is not None:
+    if client is None and task_samples is not None:
         raise InvalidArgumentError(
             f"found `task_samples` {task_samples} without a client, expected both or none of them"
         )
+    cluster = None if client is None else _cluster(client, options, raster, temp_dir, task_samples)
+    if cluster is not None and cluster.url is not None:
+        temp_dir = None
     check_ending(dst, TWZ_ENDINGS, or_url=True)
     refuse_own_source(src, dst)
     refuse_raster(dst)
     name = os.fspath(dst)
-    if "://" in name and cluster is not None:
-        raise _url_beside_client(name)
+    is_url = "://" in name
+    if is_url and cluster is not None:
+        raise InvalidArgumentError(
+            f"found a client and {display_name(name)} as `dst`, expected a path that all workers"
+            " can use"
+        )
+    final = Path(name) if is_url else Path(os.path.realpath(name))
+    beside = Path(tempfile.gettempdir()) if is_url else final.parent
     asked = {**_own(AskedRaster, given), "nodata": repr(nodata)}
     del asked["src"]  # by its files or heights
     depends_on = {"command": "compress", **asked, "options": [options.to_metadata(), keep_origin]}
     with (
-        _made(name, overwrite=overwrite, temp_dir=temp_dir) as part,
+        uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
+        if is_url
+        else publish(name, overwrite=overwrite) as part,
         raster.open(warn=True) as source,
-        _directory(
-            name, src, source, depends_on, temp_dir, fresh=fresh, is_kept=cluster is None
+        only_writer(final, beside, display_name(name)),
+        run_directory(
+            temp_dir or beside, final, src, source.info.shape, depends_on,
+            fresh=fresh, is_kept=cluster is None, by_heights=True,
         ) as (directory, kept),
         Crew(options.n_threads) as crew,
-    ):
+    ):  # fmt: skip
         bench = Bench(source, directory, crew, reporter, kept)
         # Small ones are read once.
         stamps = stamps_of(src) if source.info.n_bytes > MEMORY_LIMIT else None
-        with closing(_passes(bench, options, cluster)) as passes:
+        shared = None if cluster is None else cluster.passes(bench, options)
+        with closing(shared or LocalPasses(bench, keep_origin)) as passes:
             result, marks = _write(part.file, part.path, name, options, passes)
         if stamps is not None and stamps_of(src) != stamps:
             raise changed(source.name)
     _warn_of(marks)
     return result
+
+
+def _cluster(
+    client: Any, options: Options, raster: AskedRaster, temp_dir: str | None, samples: int | None
+) -> "Cluster":
+    """Return the cluster of a client; `temp_dir` may be the URL of a store that workers share."""
+    # Imported here: a run without a client needs none of it.
+    from terrainwave.write.cluster import TASK_SAMPLES, Cluster
+    from terrainwave.write.tasks.workers import Workers
+
+    if not options.named_method.is_clusterable:
+        raise InvalidArgumentError(
+            f"found `method` {options.named_method.name} and a client, expected another method:"
+            f" only one machine codes the tiles of {options.named_method.name}"
+        )
+    url = None if temp_dir is None or "://" not in temp_dir else temp_dir
+    return Cluster(Workers(client), raster.shared(), url, samples or TASK_SAMPLES)
 
 
 def compress_to_bytes(
@@ -326,57 +343,6 @@ def _own(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
     return {name: given[name] for name in kind.__annotations__.keys() & given.keys()}
 
 
-def _url_beside_client(name: str) -> InvalidArgumentError:
-    """Return the error for a target that workers cannot write to."""
-    return InvalidArgumentError(
-        f"found a client and {display_name(name)} as `dst`, expected a path that all workers can"
-        " use"
-    )
-
-
-def _refuse_tiles(options: Options) -> None:
-    """Raise `InvalidArgumentError` if a cluster cannot share the work of the method."""
-    if not options.named_method.is_clusterable:
-        raise InvalidArgumentError(
-            f"found `method` {options.named_method.name} and a client, expected another method:"
-            f" only one machine codes the tiles of {options.named_method.name}"
-        )
-
-
-def _made(
-    name: str, *, overwrite: bool, temp_dir: str | os.PathLike[str] | None
-) -> AbstractContextManager[Part]:
-    """Yield a file to write; it gets its name, or is uploaded, when the block ends."""
-    if "://" in name:
-        return uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
-    return publish(name, overwrite=overwrite)
-
-
-@contextmanager
-def _directory(
-    name: str,
-    src: Any,
-    source: RasterSource,
-    depends_on: dict[str, Any],
-    temp_dir: str | os.PathLike[str] | None,
-    *,
-    fresh: bool,
-    is_kept: bool,
-) -> Iterator[tuple[Path, Kept]]:
-    """Yield a directory for temporary files, locked, and the finished work of earlier runs."""
-    is_url = "://" in name
-    final = Path(name) if is_url else Path(os.path.realpath(name))
-    beside = Path(tempfile.gettempdir()) if is_url else final.parent
-    with (
-        only_writer(final, beside, display_name(name)),
-        run_directory(
-            temp_dir or beside, final, src, source.info.shape, depends_on,
-            fresh=fresh, is_kept=is_kept, by_heights=True,
-        ) as made,
-    ):  # fmt: skip
-        yield made
-
-
 def _warn_of(notes: list[str]) -> None:
     for note in notes:
         warnings.warn(note, TerrainwaveWarning, stacklevel=3)
@@ -387,7 +353,7 @@ def _write(
     path: Path | None,
     name: str,
     options: Options,
-    passes: LocalPasses | DistributedPasses,
+    passes: "LocalPasses | DistributedPasses",
 ) -> tuple[CompressResult, list[str]]:
     """Write the .twz of a raster to `file`, whose path is `path` (None in memory), and prove it.
 
@@ -400,10 +366,14 @@ def _write(
     marks += note_on_undeclared(source, scan.minimum, scan.maximum)
     marks += note_on_marks(source, scan.minimum, scan.maximum)
     job, notes = settled(left, scan, info, earlier_of(source, options, scan.steps))
-    coded = _coded(passes, job, options.choice, source.info.n_bytes)
-    if coded.job.options.named_method != options.named_method:
-        notes.append("the heights do not compress: stored raw")
+    coded, (own, _, reason, other) = passes.encode(job), options.choice
+    if other is not None and coded.n_bytes > source.info.n_bytes:
+        reason = f"{own.name}, {reason}, takes {coded.n_bytes:,} bytes of {source.info.n_bytes:,}"
+        coded = smaller(coded, passes.encode(job.with_method(other)))
     job = coded.job
+    _log.info("method %s: %s", job.options.named_method.name, reason)
+    if job.options.named_method != options.named_method:
+        notes.append("the heights do not compress: stored raw")
     header = job.header(coded.file_tables)
     extents = assemble(file, header, coded.segments)
     measured = None
@@ -431,28 +401,3 @@ def _write(
         notes=[*options.notes, *source.notes, *marks, *notes, *taken_up(kept)],
     )
     return result, marks
-
-
-def _coded(
-    passes: LocalPasses | DistributedPasses, job: Job, choice: MethodChoice, n_raw: int
-) -> Coded:
-    """Return the raster coded by the chosen method, or the fallback if larger than raw."""
-    own, _, reason, other = choice
-    coded = passes.encode(job)
-    if other is not None and coded.n_bytes > n_raw:
-        reason = f"{own.name}, {reason}, takes {coded.n_bytes:,} bytes of {n_raw:,}"
-        coded = smaller(coded, passes.encode(job.with_method(other)))
-    _log.info("method %s: %s", coded.job.options.named_method.name, reason)
-    return coded
-
-
-def _passes(
-    bench: Bench, options: Options, cluster: Cluster | None
-) -> LocalPasses | DistributedPasses:
-    """Return the passes of a cluster, or of this process if the raster is too small for a task."""
-    info, has_digest = bench.source.info, options.keep_origin
-    grid = Grid(info.n_rows, info.n_cols, options.block)
-    level = None if cluster is None else task_level(grid, cluster.task_samples)
-    if cluster is None or level is None:
-        return LocalPasses(bench, has_digest)
-    return DistributedPasses(bench, cluster, grid, level, has_digest)

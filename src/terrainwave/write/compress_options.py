@@ -150,7 +150,6 @@ class Options(OptionSet):
         return {name: values[name] for name in values if name not in ("threads", "keep_origin")}
 
     def with_method(self, method: Method, mesh: str) -> "Options":
-        """Return the options with another method and other stored meshes."""
         return replace(self, method=with_method(self.choice.own, method), mesh_kind=mesh)
 
     @property
@@ -168,27 +167,14 @@ class Options(OptionSet):
 
     @property
     def border_rings(self) -> int:
-        """Return the number of rings of samples that neighbouring blocks share."""
         return getattr(self.method, "border_rings", 1)
 
     @property
     def faithful(self) -> bool:
-        """Return whether the file follows its method's paper."""
         return self.choice.own.is_faithful
 
     @property
-    def rate(self) -> float | None:
-        """Return the goal in bits per sample, if any."""
-        return getattr(self.method, "rate", None)
-
-    @property
-    def psnr(self) -> float | None:
-        """Return the goal in decibels, if any."""
-        return getattr(self.method, "psnr", None)
-
-    @property
     def effort_number(self) -> int:
-        """Return the effort as files number it."""
         return EFFORTS.index(self.effort)
 
     @property
@@ -198,17 +184,14 @@ class Options(OptionSet):
 
     @property
     def n_threads(self) -> int:
-        """Return the number of threads that encode."""
         return checked_threads(self.threads)
 
     @property
     def makes_digests(self) -> bool:
-        """Return whether the file gets digests of its heights."""
         return self.verify if self.digest is None else self.digest
 
     @property
     def notes(self) -> list[str]:
-        """Return remarks on options without effect."""
         notes = []
         if self.mesh_error is not None and self.mesh_kind == "none":
             notes.append("the mesh error changes nothing: the file gets no meshes")

@@ -71,11 +71,6 @@ def for_heights_of(source: RasterSource, options: Options) -> Options:
     """Return the options with the bound from the given heights; unchanged for rasters.
 
     Without a bound, heights of .twz files are stored without loss.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If .twz files have lost more than the bound already, or `stable` would move their heights.
     """
     loss = source.earlier
     if loss is None or options.is_embedded:
@@ -121,8 +116,10 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
     try:
         with TerrainFile(path) as terrain:
             # Coarse levels of a lossless file have errors, but reading its full grid for them costs
-            # too much.
-            if not terrain.effective_error and _is_of_full_grid(terrain, source.info):
+            # too much; they lack neighbouring samples.
+            at = _strides(terrain, terrain.n_levels - 1, source.info)
+            is_full = at is not None and abs(at.row_stride) == abs(at.col_stride) == 1
+            if not terrain.effective_error and is_full:
                 return NOTHING
             bound = _bound_of(terrain, source)
             if bound is not None:
@@ -139,7 +136,6 @@ def earlier_of(source: RasterSource, asked: Options, steps: FixedSteps | None) -
 
 
 def _of_file(terrain: TerrainFile, bound: float, is_still: bool) -> Earlier:
-    """Return the loss `bound` of heights of a file."""
     if not bound:
         return NOTHING
     return Earlier(
@@ -159,11 +155,6 @@ def bound_of(source: RasterSource) -> float | None:
 
     Reads both. The bound is from the file's original, in its unit. None if values, voids or
     position differ, or the array names no file.
-
-    Raises
-    ------
-    TerrainwaveError
-        If either cannot be read.
     """
     if source.came_from is None:
         return None
@@ -196,12 +187,6 @@ def _strides(terrain: TerrainFile, level: int, info: RasterInfo) -> Strides | No
     return strides_on(info.transform, (info.n_rows, info.n_cols), place)
 
 
-def _is_of_full_grid(terrain: TerrainFile, info: RasterInfo) -> bool:
-    """Return whether an array has neighbouring samples, which coarser levels lack."""
-    strides = _strides(terrain, terrain.n_levels - 1, info)
-    return strides is not None and abs(strides.row_stride) == abs(strides.col_stride) == 1
-
-
 def _has_same_heights(terrain: TerrainFile, level: int, source: RasterSource) -> bool:
     """Return whether an array equals samples of a level at the positions that it states."""
     info, theirs = source.info, terrain.raster_info
@@ -229,7 +214,6 @@ def _has_same_heights(terrain: TerrainFile, level: int, source: RasterSource) ->
 
 
 def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
-    """Return whether all heights lie on steps already."""
     for region in source.blocks():
         heights, valid = source.read(*region)
         if not np.array_equal(steps.rounded(heights)[valid], heights[valid]):
@@ -238,7 +222,6 @@ def _is_on(source: RasterSource, steps: FixedSteps) -> bool:
 
 
 def _samples(first: int, stride: int, begin: int, n: int) -> NDArray[np.int64]:
-    """Return the file's rows or columns in a window of the array."""
     return first + stride * np.arange(begin, begin + n, dtype=np.int64)
 
 

@@ -7,15 +7,23 @@ their order.
 
 import math
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.refiner import Decoded, FittingRefiner, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import (
+    ALL_VALID,
+    Decoded,
+    FittingRefiner,
+    GroupSpec,
+    Heights,
+    Mask,
+    Refiner,
+)
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
 from terrainwave.container.spool_sink import SpoolSink
@@ -31,13 +39,13 @@ from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 from terrainwave.mesh.blocks import has_mesh
 from terrainwave.write.job import Job
-from terrainwave.write.passes.found import Found, Stats
-from terrainwave.write.passes.repeats import Repeats
+from terrainwave.write.passes.found import Ancestor, Found, Start, Stats
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.pyramid import Pyramid
 
 # On levels with fewer blocks, threads share units instead of subtrees.
 _MIN_SUBTREES = 8
+_CodeUnit = Callable[[Start, GroupSpec, Heights, Mask], tuple[bytes, Decoded]]
 
 
 def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tuple[Refiner, bytes]:
@@ -53,90 +61,72 @@ def fitted_refiner(job: Job, heights: HeightsOf, mask: MaskOf, crew: Crew) -> tu
     return fitted, fitted.file_tables
 
 
-class Ancestor(NamedTuple):
-    """A decoded block above a unit, without its apron."""
-
-    block: Block
-    region: Region
-    heights: Heights
-
-
 def distance_of(
     ancestor: Ancestor,
     core: Region,
     originals: Heights,
     mask: Mask,
-    grid: Grid,
+    stride: int,
     limits: tuple[int, int] | None = None,
 ) -> int:
     """Return the largest distance of a core's valid originals from a surface (`measure_block`)."""
-    stride = grid.stride(ancestor.block.level)
     row = core.row - ancestor.region.row * stride
     col = core.col - ancestor.region.col * stride
     return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
 
 
-class Start(NamedTuple):
-    """Unit to code: its key, the decoded block above it, that block's ancestors and itself.
-
-    `found` takes the results.
-    """
-
-    key: Block
-    parent: Decoded | None
-    chain: list[Ancestor]
-    found: Found
-
-
-class UnitEncoder(ABC):
-    """Encode all units of a raster, or those above a level, or those of a subtree.
+@dataclass
+class TreeEncoder:
+    """Encoder of all units of a raster, or those above a level, or those of a subtree.
 
     Parameters
     ----------
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
+    refiner : Refiner, optional
+        Codes units; None if a subclass does.
     last_level : int, optional
         The finest level to code; by default all levels.
     on_unit : callable, optional
         Called with the key of each unit and what it decodes to, from any thread.
     kept : KeptUnits, optional
         Store of coded subtrees, for a later run.
+    may_repeat : bool
+        Like segments have the same codes: those of one height are coded once.
+    on_segment : callable, optional
+        Called, from any thread, with the head of a finest segment whose units are all coded, and
+        the statistics of the blocks below it, which are then dropped.
     """
 
-    def __init__(
-        self,
-        grid: Grid,
-        parameters: CodecParameters,
-        pyramid: Pyramid,
-        sink: SpoolSink,
-        on_samples: Callable[[int], None],
-        last_level: int | None = None,
-        on_unit: Callable[[Block, Decoded], None] | None = None,
-        kept: KeptUnits | None = None,
-    ) -> None:
-        self._grid = grid
-        self._parameters = parameters
-        self._pyramid = pyramid
-        self.found = Found(sink)
-        self._on_samples = on_samples
-        self._on_unit = on_unit
-        self._last_level = grid.k_max if last_level is None else last_level
-        # Called, from any thread, with the head of a finest segment whose units are all coded, and
-        # the statistics of the blocks below it, which are then dropped.
-        self.on_segment: Callable[[Block, Stats], None] | None = None
+    grid: Grid
+    parameters: CodecParameters
+    pyramid: Pyramid
+    sink: SpoolSink
+    on_samples: Callable[[int], None] = lambda _: None
+    refiner: Refiner | None = None
+    last_level: int | None = None
+    on_unit: Callable[[Block, Decoded], None] | None = None
+    kept: KeptUnits | None = None
+    may_repeat: bool = False
+    on_segment: Callable[[Block, Stats], None] | None = None
+
+    def __post_init__(self) -> None:
+        self.found = Found(self.sink)
         self._stopped = threading.Event()
-        self._kept_units = kept
-        self._kept_level = -1 if kept is None else kept.level
+        self._kept_level = -1 if self.kept is None else self.kept.level
         # The level of subtrees after which finest segments are passed on: all are kept then.
-        finest = grid.k_max - SEGMENT_LEVELS
+        finest = self.grid.k_max - SEGMENT_LEVELS
         self._finished_level = min(finest, self._kept_level) if self._kept_level >= 0 else finest
+        self._repeats = None
+        if self.may_repeat and self.last_level is None:
+            self._repeats = Repeats(self.grid, self.parameters, self.code_unit)
 
     def run(self, crew: Crew) -> Stats:
         """Encode down to the last level; return range and measured error of every block.
 
         Without the finest level, nothing is measured.
         """
-        starts = [Start(key, None, [], self.found) for key in self._grid.root_keys()]
+        starts = [Start(key, None, [], self.found) for key in self.grid.root_keys()]
         crew.grow(self._encode_part, starts)
         return self.found.stats
 
@@ -144,7 +134,7 @@ class UnitEncoder(ABC):
         """Encode a subtree, or the first unit of a large one; return the rest below it."""
         key = start.key
         try:
-            if key.is_root_key or math.prod(self._grid.level_blocks(key.level)) < _MIN_SUBTREES:
+            if key.is_root_key or math.prod(self.grid.level_blocks(key.level)) < _MIN_SUBTREES:
                 return self._encode_unit(start)
             self._encode_subtree(start)
         except BaseException:
@@ -167,34 +157,34 @@ class UnitEncoder(ABC):
         return self.found.stats
 
     def _encode_subtree(self, start: Start) -> None:
+        key, is_whole = start.key, start.found is self.found
         if self._is_known(start):
             return
-        if start.key.level == self._kept_level and start.found is self.found:
-            self._encode_kept(start)
+        if is_whole and self.kept is not None and key.level == self._kept_level:
+            self._encode_kept(start, self.kept)
         else:
             for below in self._encode_unit(start):
                 if not self._stopped.is_set():
                     self._encode_subtree(below)
-        if start.key.level == self._finished_level and start.found is self.found:
-            self._finish_segments(start.key)
+        if is_whole and key.level == self._finished_level:
+            self._finish_segments(key)
 
-    def _encode_kept(self, start: Start) -> None:
+    def _encode_kept(self, start: Start, kept: KeptUnits) -> None:
         """Take a subtree from an earlier run's work, or encode and store it."""
-        assert self._kept_units is not None
-        found = self._kept_units.load(start.key)
+        found = kept.load(start.key)
         if found is None:
             found = Found()
             self._encode_subtree(start._replace(found=found))
             if self._stopped.is_set():
                 return
-            self._kept_units.save(start.key, found)
+            kept.save(start.key, found)
         else:
             self._count(start.key)
         start.found.take(found)
 
     def _finish_segments(self, key: Block) -> None:
         """Pass on the finest segments of a subtree whose units are all coded."""
-        grid, heads = self._grid, [key]
+        grid, heads = self.grid, [key]
         while heads[0].level < grid.k_max - SEGMENT_LEVELS:
             heads = grid.all_children(heads)
         for head in heads:
@@ -213,38 +203,51 @@ class UnitEncoder(ABC):
         key = start.key
         if start.parent is None:
             return False
-        even = self._pyramid.even(key.level, self._grid.block_region(key))
+        even = self.pyramid.even(key.level, self.grid.block_region(key))
         if even is None:
             return False
         if not even.is_valid:
             start.found.leave_out(key)
-        elif not self.repeats(start, start.parent, int(even.value)):
+        elif not self._repeat(start, int(even.value)):
             return False
         self._count(key)
         return True
 
-    def _count(self, block: Block) -> None:
-        """Report that all below a block is coded."""
-        region = self._grid.full_region(block)
-        self._on_samples(region.n_rows * region.n_cols)
+    def _repeat(self, start: Start, target: int) -> bool:
+        """Pass on all units below a block of one height if they have one height as well."""
+        below = None if self._repeats is None else self._repeats.code(start, target)
+        if below is None:
+            return False
+        # The samples of this level suffice to measure the distance from coarser blocks, whose
+        # surfaces are linear between them.
+        stride = self.grid.stride(start.key.level)
+        region = self.grid.block_region(start.key)
+        heights = np.full(region.shape, target, dtype=np.int32)
+        mask = np.ones(region.shape, dtype=np.bool_)
+        for above in start.chain:
+            at = self.grid.stride(above.block.level) // stride
+            error = distance_of(above, region, heights, mask, at, (target, target))
+            below[above.block] = BlockStats(target, target, error)
+        start.found.note(below)
+        return True
 
-    def repeats(self, start: Start, parent: Decoded, target: int) -> bool:
-        """Pass on all units below a block of one height if possible; not in this class."""
-        return False
+    def _count(self, block: Block) -> None:
+        region = self.grid.full_region(block)
+        self.on_samples(region.n_rows * region.n_cols)
 
     def _encode_unit(self, start: Start) -> list[Start]:
         """Encode one unit; return the units below it."""
-        grid, key, chain = self._grid, start.key, start.chain
-        spec = unit_spec(grid, self._parameters, key)
-        target, mask = self._pyramid.targets(spec.level, spec.region)
+        grid, key, chain = self.grid, start.key, start.chain
+        spec = unit_spec(grid, self.parameters, key)
+        target, mask = self.pyramid.targets(spec.level, spec.region)
         payload, decoded = self.code_unit(start, spec, target, mask)
         start.found.add(key, payload)
-        if self._on_unit is not None:
-            self._on_unit(key, decoded)
+        if self.on_unit is not None:
+            self.on_unit(key, decoded)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         start.found.note(self._meshed(blocks, parts))
-        if self._parameters.is_faithful and chain:
+        if self.parameters.is_faithful and chain:
             core = spec.core.slices_in(spec.region)
             above = chain[-1]
             apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
@@ -252,30 +255,38 @@ class UnitEncoder(ABC):
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
             self._measure(start, spec, target[core], mask[core], decoded)
-            self._on_samples(spec.core.n_rows * spec.core.n_cols)
+            self.on_samples(spec.core.n_rows * spec.core.n_cols)
             return []
-        if spec.level == self._last_level:
+        if spec.level == self.last_level:
             return []
         return [
             Start(block, part, [*chain, self._ancestor(block, part)], start.found)
             for block, part in zip(blocks, parts, strict=True)
         ]
 
-    @abstractmethod
     def code_unit(
         self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
-        """Return the payload and the decoded form of a unit."""
+        assert self.refiner is not None
+        rest = partial(self.pyramid.remainders, spec.region) if spec.remainder_bytes else None
+        own = None
+        if spec.has_voids and not spec.is_finest:
+            own = self.pyramid.own(spec.level, spec.region)
+        restored = self.restored(start.key, spec, target, mask)
+        return encode_unit(self.refiner, spec, start.parent, target, mask, rest, own, restored)
+
+    def restored(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return the heights of a unit that must come back exactly (`encode_unit`)."""
+        return None
 
     def _ancestor(self, block: Block, decoded: Decoded) -> Ancestor:
         """Return the samples of a decoded block, without its apron."""
-        region = self._grid.block_region(block)
-        framed = self._grid.block_region(block, self._parameters.apron)
+        region = self.grid.block_region(block)
+        framed = self.grid.block_region(block, self.parameters.apron)
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
     def _meshed(self, blocks: list[Block], parts: list[Decoded]) -> Stats:
-        """Return which blocks have meshes."""
-        grid, apron = self._grid, self._parameters.apron
+        grid, apron = self.grid, self.parameters.apron
         found: Stats = {}
         for block, part in zip(blocks, parts, strict=True):
             inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
@@ -286,7 +297,7 @@ class UnitEncoder(ABC):
         self, start: Start, spec: GroupSpec, originals: Heights, mask: Mask, decoded: Decoded
     ) -> None:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
-        grid = self._grid
+        grid = self.grid
         heights = decoded.heights[spec.core.slices_in(spec.region)]
         by_block: Stats = {}
         whole = BlockStats()
@@ -300,68 +311,133 @@ class UnitEncoder(ABC):
             error = 0
             if not whole.is_empty:
                 limits = whole.z_low, whole.z_high
-                error = distance_of(ancestor, spec.core, originals, mask, grid, limits)
+                stride = grid.stride(ancestor.block.level)
+                error = distance_of(ancestor, spec.core, originals, mask, stride, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
         start.found.note(by_block)
 
 
-class TreeEncoder(UnitEncoder):
-    """Encode units by a refiner; the other arguments are those of `UnitEncoder`."""
+class _Below(NamedTuple):
+    """Payload and decoded height of the units below a block, by level."""
 
-    def __init__(
-        self,
-        grid: Grid,
-        refiner: Refiner,
-        parameters: CodecParameters,
-        *rest: Any,
-        may_repeat: bool = False,
-        **options: Any,
-    ) -> None:
-        super().__init__(grid, parameters, *rest, **options)
-        self._refiner = refiner
-        self._repeats: Repeats | None = None
-        if may_repeat and self._last_level == grid.k_max:
+    payloads: tuple[bytes, ...]
+    heights: tuple[int, ...]
 
-            def code(
-                key: Block, parent: Decoded, spec: GroupSpec, target: Heights, mask: Mask
-            ) -> tuple[bytes, Decoded]:
-                return self.code_unit(Start(key, parent, [], self.found), spec, target, mask)
 
-            self._repeats = Repeats(grid, parameters, code)
+class Repeats:
+    """Codes subtrees of one height, each distinct unit once; thread-safe.
 
-    def repeats(self, start: Start, parent: Decoded, target: int) -> bool:
-        """Pass on all units below a block of one height if they have one height as well."""
-        if self._repeats is None:
-            return False
-        key = start.key
-        below = self._repeats.code(key, parent, target, start.found)
+    A unit's payload follows from its targets, the decoded block above it, and which sides have
+    neighbours. So below a block whose samples have one height and which decodes to one height, all
+    groups of a level have the same payload; so have all such blocks of a level that do not touch
+    the raster's edge. Whole segments are copied from the first one.
+    """
+
+    def __init__(self, grid: Grid, parameters: CodecParameters, code_unit: _CodeUnit) -> None:
+        self._grid = grid
+        self._parameters = parameters
+        self._code_unit = code_unit
+        self._below: dict[tuple[int, int, int], _Below | None] = {}
+        self._first_heads: dict[tuple[int, int, int], Block] = {}
+        self._lock = threading.Lock()
+
+    def code(self, start: Start, target: int) -> dict[Block, BlockStats] | None:
+        """Pass on all units below a block; return the statistics of the blocks below.
+
+        Repeated segments are represented by one block. None if the block is at the raster's edge,
+        or something below it does not have one height. `target` is the height of all samples under
+        the block and around it.
+        """
+        block, parent = start.key, start.parent
+        if parent is None or not self._is_even(parent, height := int(parent.heights[0, 0])):
+            return None
+        if not self._grid.is_inside(block) or not self._is_whole(block):
+            return None
+        known = block.level, target, height
+        with self._lock:
+            if known not in self._below:
+                self._below[known] = self._coded(start, target)
+            below = self._below[known]
         if below is None:
+            return None
+        stats: dict[Block, BlockStats] = {}
+        self._put(block, below, target, height, block.level, stats, start.found)
+        return stats
+
+    def _is_even(self, decoded: Decoded, height: int) -> bool:
+        if decoded.validity.own_mask is not None or decoded.remainders is not None:
             return False
-        # The samples of this level suffice to measure the distance from coarser blocks, whose
-        # surfaces are linear between them.
-        region = self._grid.block_region(key)
-        heights = np.full(region.shape, target, dtype=np.int32)
-        mask = np.ones(region.shape, dtype=np.bool_)
-        for above in start.chain:
-            at = self._grid.stride(above.block.level) // self._grid.stride(key.level)
-            row, col = (
-                first - one * at for first, one in zip(region[:2], above.region[:2], strict=True)
-            )
-            error = measure_block(above.heights, at, heights, mask, row, col, (target, target))
-            below[above.block] = BlockStats(target, target, error)
-        start.found.note(below)
+        return bool((decoded.heights == height).all())
+
+    def _is_whole(self, block: Block) -> bool:
+        """Return whether the raster's edge cuts neither a unit below a block nor its apron."""
+        shape = (2 * self._grid.block + 1 + 2 * self._parameters.apron,) * 2
+        row, col = block.row, block.col
+        for level in range(block.level, self._grid.k_max):
+            spec = unit_spec(self._grid, self._parameters, Block(level, row, col))
+            if spec.region.shape != shape:
+                return False
+            row, col = 2 * row + 1, 2 * col + 1  # the last one; others lie further inside
         return True
 
-    def code_unit(
-        self, start: Start, spec: GroupSpec, target: Heights, mask: Mask
-    ) -> tuple[bytes, Decoded]:
-        rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
-        own = None
-        if spec.has_voids and not spec.is_finest:
-            own = self._pyramid.own(spec.level, spec.region)
-        kept = self.kept(start.key, spec, target, mask)
-        return encode_unit(self._refiner, spec, start.parent, target, mask, rest, own, kept)
+    def _coded(self, start: Start, target: int) -> _Below | None:
+        """Code the first unit of each level below a block; None unless each has one height."""
+        block, parent = start.key, start.parent
+        payloads, heights = [], []
+        for level in range(block.level, self._grid.k_max):
+            depth = level - block.level
+            key = Block(level, block.row << depth, block.col << depth)
+            spec = unit_spec(self._grid, self._parameters, key)
+            shape = spec.region.shape
+            targets = np.full(shape, target, dtype=np.int32)
+            mask = np.ones(shape, dtype=np.bool_)
+            start = Start(key, parent, [], start.found)
+            payload, decoded = self._code_unit(start, spec, targets, mask)
+            height = int(decoded.heights[0, 0])
+            if not self._is_even(decoded, height):
+                return None
+            payloads.append(payload)
+            heights.append(height)
+            n = self._grid.block_region(Block(level + 1, key.row * 2, key.col * 2)).n_rows
+            apron = shape[0] - spec.core.n_rows
+            parent = Decoded(np.full((n + apron,) * 2, height, dtype=np.int32), ALL_VALID)
+        return _Below(tuple(payloads), tuple(heights))
 
-    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
-        """Return the heights of a unit that must come back exactly (`encode_unit`)."""
-        return None
+    def _put(
+        self,
+        block: Block,
+        below: _Below,
+        target: int,
+        height: int,
+        top: int,
+        stats: dict[Block, BlockStats],
+        found: Found,
+    ) -> None:
+        grid, depth = self._grid, block.level - top
+        own = below.heights[depth]
+        children = grid.children(block)
+        if grid.segment_head(block) == block and self._is_repeated(block, target, height, found):
+            error = max(abs(target - one) for one in below.heights[depth:])
+            stats[children[0]] = BlockStats(target, target, error)
+            if block.level + SEGMENT_LEVELS < grid.k_max:
+                at = below.heights[depth + SEGMENT_LEVELS - 1]
+                for head in grid.segment_children(block):
+                    self._put(head, below, target, at, top, stats, found)
+            return
+        found.add(block, below.payloads[depth])
+        for child in children:
+            stats[child] = BlockStats(target, target, abs(target - own), has_mesh=True)
+            if child.level < grid.k_max:
+                self._put(child, below, target, own, top, stats, found)
+
+    def _is_repeated(self, head: Block, target: int, height: int, found: Found) -> bool:
+        """Return whether a segment equals an earlier one, and record that, if `found` can."""
+        if found.repeat is None:
+            return False
+        known = head.level, target, height
+        with self._lock:
+            first = self._first_heads.setdefault(known, head)
+        if first == head:
+            return False
+        found.repeat(head, first)
+        return True

@@ -103,19 +103,12 @@ class Job:
         return Fraction(self.quantizer.numerator, self.quantizer.denominator)
 
     def with_measured(self, error: int) -> "Job":
-        """Return the job with a measured error, in quanta, as the bound."""
         # That of a bounded file whose steps have this half.
         measured = replace(self.quantizer, step=2 * error + 1).effective_error
         return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
 
     def with_range_of_original(self) -> "Job":
-        """Return the job with a range that holds the original's heights, too.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If it has more than 2^30 quanta.
-        """
+        """Return the job with a range that holds the original's heights, too."""
         low, high = self.quantizer.z_min - self.moved, self.quantizer.z_max + self.moved
         if self.moved and high - low >= MAX_QUANTA:
             raise InvalidHeightsError(
@@ -135,7 +128,6 @@ class Job:
 
     @property
     def has_voids(self) -> bool:
-        """Say whether any sample of the raster is void."""
         return self.n_valid < self.grid.n_rows * self.grid.n_cols
 
     @property
@@ -149,7 +141,6 @@ class Job:
 
     @property
     def raw_bound(self) -> float:
-        """Return the bound asked for, in raw units."""
         return float(self.bound / scale_of(self.info))
 
     @property
@@ -177,7 +168,6 @@ class Job:
 
     @property
     def parameters(self) -> CodecParameters:
-        """Return the parameters that all units share."""
         options = self.options
         return CodecParameters.of(
             self.quantizer,
@@ -189,7 +179,6 @@ class Job:
         )
 
     def header(self, file_tables: bytes) -> Header:
-        """Return the header of the file; `file_tables` are the tables of its method."""
         options, quantizer, info = self.options, self.quantizer, self.info
         metadata = metadata_of(info)
         if self.moved:
@@ -245,13 +234,7 @@ def origin_of(options: Options, scan: HeightScan) -> dict[str, Any]:
 
 
 def scale_of(info: RasterInfo) -> Fraction:
-    """Return physical units per raw one, without sign.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is 0 or not finite.
-    """
+    """Return physical units per raw one, without sign; raise if it is 0 or not finite."""
     if info.scale == 0 or not math.isfinite(info.scale):
         raise InvalidHeightsError(
             f"the raster's scale is {info.scale:g}, expected a finite number that is not 0: correct"
@@ -292,11 +275,6 @@ def settled(
     """Return the job for a scanned raster, and notes for the user.
 
     `options` have the bound from the raster, `earlier` what was asked of that from its original.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the bound cannot be kept, or the raster's scale is none, or `earlier` is too large.
     """
     bound, notes = Fraction(0), list[str]()
     if options.is_embedded:
@@ -377,13 +355,7 @@ def _above_limit(job: Job, earlier: Earlier) -> Fraction:
 
 
 def _with_smaller_bound(job: Job, above: Fraction, earlier: Earlier) -> Options:
-    """Return the options with a bound that leaves more room for the earlier loss.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is 0 already.
-    """
+    """Return the options with a bound that leaves more room for the earlier loss."""
     if not job.bound:
         least = rounded_up(job.stated_bound)
         raise InvalidHeightsError(
@@ -399,7 +371,6 @@ def _with_smaller_bound(job: Job, above: Fraction, earlier: Earlier) -> Options:
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
-    """Return a bound in the units of stored values."""
     raw_bound = bound / scale_of(info)
     if raw_bound > sys.float_info.max:
         raise InvalidHeightsError(

@@ -1,7 +1,7 @@
 """The three passes of `compress` over a raster, in threads of this process."""
 
 import os
-from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -19,15 +19,13 @@ from terrainwave.grid.quadtree import Block
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import measure_meshes
-from terrainwave.mesh.sections import make_meshes
-from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.tile_decoder import make_decoder
 from terrainwave.write.boxes import Box, Codes
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.found import Stats
-from terrainwave.write.passes.proof import Proof, comparison_of, measured_error
+from terrainwave.write.passes.proof import collected, compared, comparison_of, measured_error
 from terrainwave.write.passes.resuming import KeptUnits, is_by_heights, same_heights
 from terrainwave.write.passes.windows import Windows, check_free_space
 from terrainwave.write.pyramid import Pyramid
@@ -54,7 +52,6 @@ class Coded:
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
-    """Return the smaller one and close the other."""
     kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
     dropped.close()
     return kept
@@ -90,37 +87,46 @@ class LocalPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units into one spool per segment; not those that an earlier run kept."""
-        bench = self.bench
-        directory, executor = bench.directory, bench.executor
+        bench, grid, method = self.bench, job.grid, job.options.named_method
         pyramid = bench.pyramid(job, self.windows)
         pyramid.kept = bench.kept
-        try:
+        with closing(pyramid):
             itemsize = np.dtype(job.info.dtype).itemsize
             pyramid.build(
                 lambda done, total: bench.reporter.report(
                     "making levels", done, total, done * itemsize
                 )
             )
-            sink = SpoolSink(job.grid, directory)
-            sizes = {"n_units_total": job.grid.n_units(), "n_levels": job.grid.k_max + 1}
-
-            def more() -> dict[str, int]:
-                return {"n_bytes_out": sink.n_bytes, "n_units": sink.n_units, **sizes}
-
-            on_samples = bench.counter("encoding", more)
+            sink = SpoolSink(grid, bench.directory)
+            sizes = {"n_units_total": grid.n_units(), "n_levels": grid.k_max + 1}
+            on_samples = bench.counter(
+                "encoding", lambda: {"n_bytes_out": sink.n_bytes, "n_units": sink.n_units, **sizes}
+            )
             refiner, file_tables = None, b""
             units: dict[Block, Decoded] = {}
             below: dict[Block, Box] = {}
-            if job.options.named_method.is_tiled:
+            walked = grid, job.parameters, pyramid, sink, on_samples
+            if method.is_tiled:
                 # Imported here: its compilation takes seconds that other methods do not need.
                 from terrainwave.write.tile_encoder import encode_tiles
 
-                stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
+                stats = encode_tiles(job, walked, bench)
             else:
                 refiner, file_tables = _fitted(job, pyramid, bench)
-                stats, units = _encode_units(job, refiner, pyramid, sink, on_samples, bench, below)
+                # Heights and masks of all levels: four thirds of five bytes for each sample.
+                is_small = 20 * grid.n_rows * grid.n_cols <= 3 * _MESH_CACHE_BYTES
+                stats = TreeEncoder(
+                    *walked, refiner,
+                    kept=KeptUnits(bench.kept, grid, method.name),
+                    on_unit=units.__setitem__ if is_small and job.options.measures_meshes else None,
+                    may_repeat=job.may_repeat,
+                    on_segment=partial(_finish_segment, job, sink, below)
+                    if job.may_repeat
+                    else None,
+                ).run(bench.executor)  # fmt: skip
             if job.options.is_embedded:
-                job = job.with_measured(_finest_error(job, stats))
+                finest = (own.error for block, own in stats.items() if block.level == grid.k_max)
+                job = job.with_measured(max(finest, default=0))
             codes = Codes(job, stats, below)
             mesh_errors = None
             if job.options.measures_meshes:
@@ -128,9 +134,12 @@ class LocalPasses:
                 decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
                 while units:  # not decoded again
                     decoder.put(*units.popitem())
-                mesh_errors = _mesh_errors(job, decoder, pyramid, sink, codes.errors, bench)
-        finally:
-            pyramid.close()
+                mesher, sections = bench.meshes(header, decoder, codes.errors)
+                sink.set_meshes(sections)
+                count, lost = bench.counter("measuring meshes"), Fraction(job.lost)
+                originals = pyramid.originals
+                found = measure_meshes(grid, mesher, originals, bench.executor, count, lost)
+                mesh_errors = mesher.error_codes(found, lost, by_recursion=job.options.faithful)
         codes.set(sink.present(), mesh_errors)
         return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
 
@@ -138,23 +147,16 @@ class LocalPasses:
         """Decode the file from disk and compare every sample and the mask.
 
         Return the largest error, and the digests of tiles if the file is to have them.
-
-        Raises
-        ------
-        BoundViolationError
-            If a sample is further than the bound from the original, or valid where that is void.
-        StorageError
-            If that is because the raster has changed.
         """
         grid, count = job.grid, self.bench.counter("proving")
-        proof = Proof((grid.n_rows, grid.n_cols))
         with (
             self.windows.unchanged(),
             comparison_of(path, job, self.windows, count) as comparison,
         ):
-            proof.compare(path, comparison.shares(self.windows), comparison.all, self.bench)
+            found = compared(path, comparison.shares(self.windows), comparison.all, self.bench)
+            largest, tiles = collected(found, (grid.n_rows, grid.n_cols))
         count(grid.n_rows * grid.n_cols)  # voids, and what an earlier run has compared
-        return measured_error(proof.largest, job.quantizer), proof.tiles
+        return measured_error(largest, job.quantizer), tiles
 
     def close(self) -> None:
         if self._windows is not None:
@@ -173,35 +175,6 @@ def _fitted(job: Job, pyramid: Pyramid, bench: Bench) -> tuple[Refiner, bytes]:
     return refiner_by_name(method, file_tables), file_tables
 
 
-def _encode_units(
-    job: Job,
-    refiner: Refiner,
-    pyramid: Pyramid,
-    sink: SpoolSink,
-    on_samples: Callable[[int], None],
-    bench: Bench,
-    below: dict[Block, Box],
-) -> tuple[Stats, dict[Block, Decoded]]:
-    """Code every unit; return statistics and decoded units.
-
-    `below` collects the boxes of finished segments. Decoded units are returned only if meshes need
-    them and all of them fit in memory.
-    """
-    units: dict[Block, Decoded] = {}
-    # Heights and masks of all levels: four thirds of five bytes for each sample.
-    is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
-    name = job.options.named_method.name
-    encoder = TreeEncoder(
-        job.grid, refiner, job.parameters, pyramid, sink, on_samples,
-        kept=KeptUnits(bench.kept, job.grid, name),
-        on_unit=units.__setitem__ if is_kept and job.options.measures_meshes else None,
-        may_repeat=job.may_repeat,
-    )  # fmt: skip
-    if job.may_repeat:
-        encoder.on_segment = partial(_finish_segment, job, sink, below)
-    return encoder.run(bench.executor), units
-
-
 def _finish_segment(
     job: Job, sink: SpoolSink, below: dict[Block, Box], head: Block, stats: Stats
 ) -> None:
@@ -214,36 +187,3 @@ def _finish_segment(
         below[head] = codes.boxes.pop(head)
     codes.set([spool])
     sink.store(head)
-
-
-def _finest_error(job: Job, stats: Stats) -> int:
-    """Return the largest error of the finest blocks, in quanta."""
-    k_max = job.grid.k_max
-    return max((own.error for block, own in stats.items() if block.level == k_max), default=0)
-
-
-def _mesh_errors(
-    job: Job,
-    decoder: TreeDecoder,
-    pyramid: Pyramid,
-    sink: SpoolSink,
-    errors: dict[Block, int],
-    bench: Bench,
-) -> dict[Block, int]:
-    """Make the meshes; return the code of each mesh's error against the originals."""
-    grid = job.grid
-    mesher, sections = make_meshes(
-        grid,
-        decoder,
-        lambda block: errors.get(block, 0),
-        job.mesh_tolerance,
-        has_voids=job.has_voids,
-        kind=job.options.mesh_kind,
-        executor=bench.executor,
-        on_samples=bench.counter("making meshes"),
-    )
-    sink.set_meshes(sections)
-    count = bench.counter("measuring meshes")
-    lost = Fraction(job.lost)
-    found = measure_meshes(grid, mesher, pyramid.originals, bench.executor, count, lost)
-    return mesher.error_codes(found, lost, by_recursion=job.options.faithful)

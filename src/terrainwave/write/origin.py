@@ -7,11 +7,11 @@ from typing import Any
 from terrainwave.container.metadata import EARLIER, ORIGIN, without_origin
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
-from terrainwave.file.raster import raster_source
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.earlier_loss import earlier_files
 from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of, settled
+from terrainwave.write.passes.bench import AskedRaster
 from terrainwave.write.passes.windows import new_scan, take
 
 
@@ -29,15 +29,6 @@ def difference(
     """Return why `path` differs from the file that `compress` makes of `src`; None if equal.
 
     The reason completes a sentence: "it …". The raster is read only if all else is equal.
-
-    Parameters
-    ----------
-    options : as `Options` has them
-
-    Raises
-    ------
-    TerrainwaveError
-        If the raster cannot be read, or an option is invalid.
     """
     asked = Options(**options)
     try:
@@ -50,10 +41,7 @@ def difference(
         return "it does not say what it was made of"
     if origin.get("options") != asked.to_metadata():
         return "it was made with other options"
-    with raster_source(
-        src, band=band, nodata=nodata, georeference=georeference, heights_are=heights_are,
-        warn=False,
-    ) as source:  # fmt: skip
+    with AskedRaster(src, band, nodata, georeference, heights_are).open() as source:
         info = source.info
         size = info.n_rows, info.n_cols, info.dtype
         metadata = without_origin(header.metadata)
@@ -68,7 +56,7 @@ def difference(
             return "it was made of another .twz file"
         scan, reporter = new_scan(info, has_digest=True), Reporter(progress)
         for region in source.blocks():
-            take(scan, (*source.read(*region), region.row, region.col), info, reporter)
+            take(scan, region, source.read(*region), info, reporter)
         info = source.with_meaning(scan.minimum, scan.maximum)[0]
         if info.heights_are != kind:
             return "its numbers mean something else"

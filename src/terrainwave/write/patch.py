@@ -14,53 +14,31 @@ docs/decisions/0023).
 import logging
 import os
 import warnings
-from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
-from terrainwave.container.digests import DigestTree, tile_digests
-from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
-from terrainwave.container.metadata import EARLIER, without_origin
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.header import Header
 from terrainwave.container.targets.publication import publish, refuse_own_source
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import (
-    BoundViolationError,
-    CorruptStreamError,
     InvalidHeightsError,
     TerrainwaveWarning,
 )
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sidecar import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.bench import Bench
-from terrainwave.write.passes.proof import (
-    NOTHING,
-    OUR_FAULT,
-    Proof,
-    Proved,
-    allowed_error,
-    compare_window,
-    measured_error,
-    proof_shares,
-    together,
-)
-from terrainwave.write.passes.resuming import KeptUnits, run_directory, taken_up
-from terrainwave.write.patching.index import PatchedIndex
+from terrainwave.write.passes.resuming import run_directory, taken_up
 from terrainwave.write.patching.merged import Merged, original_source
-from terrainwave.write.patching.patch_encoder import PatchEncoder
-from terrainwave.write.pyramid import Pyramid
+from terrainwave.write.patching.patcher import Patcher
 
 _log = logging.getLogger(__name__)
 
@@ -176,7 +154,7 @@ def patch(
         merged = Merged(terrain, source, whole)
         for note in merged.notes:
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
-        patcher = _Patcher(terrain, merged, Bench(merged, directory, executor, reporter, kept))
+        patcher = Patcher(terrain, merged, Bench(merged, directory, executor, reporter, kept))
         n_recoded, n_copied = patcher.code()
         if patcher.is_changed:
             with publish(final, overwrite=True, is_update=True) as part:
@@ -203,7 +181,6 @@ def patch(
 
 
 def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
-    """Raise `InvalidHeightsError` for a file that cannot be patched."""
     method = METHODS[header.method]
     if not method.is_patchable:
         fit = methods_that(lambda method: method.is_patchable)
@@ -216,158 +193,3 @@ def _refuse_unfit(path: str | os.PathLike[str], header: Header) -> None:
             f"{path} has heights {header.bound_side} the originals only, which a patch would not"
             " keep: compress the whole raster again"
         )
-
-
-# Metadata on earlier losses, which are known again if a patch covers everything.
-_OF_BEFORE = ("moved", EARLIER)
-
-
-class _Patcher:
-    """Passes over a file that is patched."""
-
-    def __init__(self, terrain: TerrainFile, merged: Merged, bench: Bench) -> None:
-        self._terrain = terrain
-        self._grid = terrain.grid
-        self._merged = merged
-        self._bench = bench
-        quantizer = terrain.quantizer
-        self.sink = SpoolSink(self._grid, bench.directory)
-        self._pyramid = Pyramid(
-            merged,
-            quantizer,
-            self._grid,
-            kind=terrain.pyramid,
-            has_voids=merged.has_voids,
-            directory=bench.directory,
-            executor=bench.executor,
-        )
-        self._pyramid.kept = bench.kept
-        self.header = terrain.header
-        self.is_changed = False
-        # Largest stated error of finest blocks without originals, in raw units.
-        self.stated_error = 0.0
-
-    def code(self) -> tuple[int, int]:
-        """Fill the sink; return the numbers of units coded again and copied."""
-        self._pyramid.build(lambda *_: None)
-        encoder = PatchEncoder(
-            self._terrain, self._merged, self._pyramid, self.sink,
-            self._bench.counter("patching"),
-            kept=KeptUnits(self._bench.kept, self._grid, "patch"),
-        )  # fmt: skip
-        encoder.run(self._bench.executor)
-        found = encoder.found
-        self.header = self._bounded_header()
-        features = self.header.features & ~HAS_CORRECTIONS
-        features |= HAS_VOIDS if self._merged.has_voids else 0
-        features |= HAS_CORRECTIONS if found.has_corrections else 0
-        self.header = replace(self.header, features=features)
-        index = PatchedIndex(
-            self._terrain, self.header, self._merged, self._pyramid, self.sink, self._bench
-        )
-        is_any_new, self.stated_error = index.update(found)
-        self.is_changed = bool(found.recoded) or is_any_new
-        self.is_changed |= self.header != self._terrain.header
-        return len(found.recoded), self._grid.n_units() - len(found.recoded)
-
-    def _bounded_header(self) -> Header:
-        """Return the file's header with the bounds that hold after the patch."""
-        old = self._terrain.header
-        old = replace(old, metadata=without_origin(old.metadata))
-        if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
-            return old
-        # Earlier losses are known again.
-        metadata = {key: value for key, value in old.metadata.items() if key not in _OF_BEFORE}
-        bound = old.quantizer.effective_error
-        return replace(
-            old, metadata=metadata, max_error=max(self._asked_bound(), bound), effective_bound=bound
-        )
-
-    def _asked_bound(self) -> float:
-        """Return the bound that the file was made with, in raw units."""
-        header = self._terrain.header
-        if not header.moved:
-            return header.max_error
-        asked = header.max_error - float(header.moved * header.quantum)
-        return max(asked, header.quantizer.effective_error)
-
-    def prove(self, path: str | os.PathLike[str]) -> tuple[float, DigestTree | None]:
-        """Decode the result.
-
-        Returns
-        -------
-        error : float
-            Largest error where the new raster lies, in raw units.
-        digests : DigestTree or None
-            The digests of all heights, if the file has digests.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the file's digests did not match its heights before the patch.
-        BoundViolationError
-            If a sample is further than the bound from the new raster, or one elsewhere has changed.
-        """
-        quantizer, bound = self._terrain.quantizer, self._asked_bound()
-        allowed = allowed_error(quantizer, bound, quantizer.effective_error)
-        count, proof = self._bench.counter("proving"), Proof(self._terrain.shape)
-        with TerrainFile(path, threads=1, native=False) as result:
-
-            def compare(region: Region) -> Proved:
-                part = region.intersect(self._merged.place)
-                found = NOTHING
-                if part.n_rows and part.n_cols:
-                    found = compare_window(result, self._merged, part, allowed, False)
-                if part != region:
-                    self._compare_rest(result, region)
-                if self.header.has_digests:
-                    tiles = tile_digests(region, *result.read_with_mask(region))
-                    found = found._replace(tiles=tiles)
-                count(region.n_rows * region.n_cols)
-                return found
-
-            def compare_all(share: Sequence[Region]) -> Proved:
-                return together(map(compare, share))
-
-            proof.compare(path, proof_shares(self._grid), compare_all, self._bench)
-        error = measured_error(proof.largest, quantizer)
-        return error, self._new_digests(proof.tiles.tree())
-
-    def _new_digests(self, found: DigestTree) -> DigestTree | None:
-        """Return the new digests, if the file has any: beyond the new raster they stay."""
-        before = self._terrain.container.digests()
-        if before is None:
-            return None
-        place = self._merged.place
-        for leaf in found.differences(before):
-            if not all(leaf.intersect(place).shape):
-                raise CorruptStreamError(
-                    f"the digest of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row},"
-                    f" column {leaf.col} is not that of their heights, which the new raster does"
-                    " not cover: check the file (terrainwave verify)"
-                )
-        return found
-
-    def _compare_rest(self, result: TerrainFile, region: Region) -> None:
-        """Raise if samples that the new raster does not cover have changed."""
-        level = self._grid.k_max
-        (before, was_valid), (after, is_valid) = (
-            terrain.decoder.window(level, region) for terrain in (self._terrain, result)
-        )
-        is_good = was_valid & is_valid & (after == before) | ~was_valid & ~is_valid
-        if self._terrain.quantizer.remainder_bytes:
-            stored, new = (terrain.read_with_mask(region)[0] for terrain in (self._terrain, result))
-            is_good &= (stored == new) | ~is_valid
-        is_good |= self._merged.known(region, np.ones(region.shape, dtype=np.bool_))
-        if not is_good.all():
-            row, col = np.argwhere(~is_good)[0] + (region.row, region.col)
-            raise BoundViolationError(
-                f"the height at row {row}, column {col}, which the new raster does not cover, has"
-                f" moved; {OUR_FAULT}"
-            )
-
-    def close(self) -> None:
-        """Delete temporary data."""
-        self._pyramid.close()
-        for spool in self.sink.present():
-            spool.close()

@@ -22,10 +22,11 @@ Values are the same: that is how machines share a raster.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from functools import partial, reduce
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -56,6 +57,9 @@ _FILL_MARGIN, _FILL_REACH = 2, 16
 _BATCH = 4096
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
+# By the shift of a level and a region: what all samples there are, if that is known; new arrays.
+_EvenAt = Callable[[int, Region], Even | None]
+_MakeWindow = Callable[[int, Region], Sequence[NDArray[Any]]]
 
 
 class SourceWindows(Protocol):
@@ -63,22 +67,15 @@ class SourceWindows(Protocol):
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
-    ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        """Return raw heights and validity of a window, which are not to be written to."""
-        ...
+    ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]: ...
 
 
-@runtime_checkable
 class IndexedWindows(SourceWindows, Protocol):
     """A raster that may know windows without reading them (`raster_io.even`)."""
 
-    def even(self, region: Region) -> Even | None:
-        """Return what all samples of a region of the full grid are; None: only reading tells."""
-        ...
+    def even(self, region: Region) -> Even | None: ...
 
-    def holds(self, region: Region, even: Even) -> bool:
-        """Say whether some samples of a region, read, are that."""
-        ...
+    def holds(self, region: Region, even: Even) -> bool: ...
 
 
 class SubtreeRegion(NamedTuple):
@@ -92,21 +89,11 @@ class SubtreeRegion(NamedTuple):
     region: Region
     shift: int
 
-    def heights_region(self, shift: int, is_framed: bool) -> Region:
-        """Return where heights and masks of a level are made."""
+    def made(self, name: str, shift: int, *, is_framed: bool = True) -> Region:
+        """Return where an array of a level is made; may reach past the raster."""
         scale = 1 << self.shift - shift
-        return self._framed(shift, 7 * scale - 6 if is_framed else 2 * scale - 1)
-
-    def fill_region(self, shift: int) -> Region:
-        """Return where the fills of a level are needed."""
-        return self._framed(shift, 7 << self.shift - shift)
-
-    def push_region(self, shift: int) -> Region:
-        """Return where known heights are pushed to on a level."""
-        return self._framed(shift, (9 << self.shift - shift) - 2)
-
-    def _framed(self, shift: int, margin: int) -> Region:
-        """Return the region on a level with a margin around it; may reach past the raster."""
+        reach = {"fills": 7 * scale, "averages": 9 * scale - 2, "known": 9 * scale - 2}
+        margin = reach.get(name, 7 * scale - 6 if is_framed else 2 * scale - 1)
         row, col, n_rows, n_cols = self.region
         first_row, first_col = (row >> shift) - margin, (col >> shift) - margin
         last_row = -(-(row + n_rows - 1) >> shift) + margin
@@ -115,10 +102,7 @@ class SubtreeRegion(NamedTuple):
 
 
 class Base(NamedTuple):
-    """Arrays of one level from which the next is made, by their names in `Level`.
-
-    Without voids these are the heights alone.
-    """
+    """Arrays of one level, by their names in `Level`, from which the next is made."""
 
     shift: int
     arrays: Mapping[str, Spool]
@@ -132,22 +116,16 @@ DTYPES: dict[str, DTypeLike] = {
 }  # fmt: skip
 
 
+@dataclass
 class Level:
-    """Arrays of one level by name (`DTYPES`), each while it is needed.
+    """Arrays of one level by name (`DTYPES`), each while it is needed; of a part, or the whole."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the whole level.
-    regions : dict
-        Where arrays are made, by name.
-    """
-
-    def __init__(
-        self, shift: int, shape: tuple[int, int], regions: Mapping[str, Region], kind: str
-    ) -> None:
-        self.shift, self.shape, self._regions, self._kind = shift, shape, regions, kind
-        self.arrays: dict[str, Spool] = {}
+    shift: int
+    shape: tuple[int, int]
+    kind: str
+    part: SubtreeRegion | None
+    is_framed: bool
+    arrays: dict[str, Spool] = field(default_factory=dict)
 
     @property
     def whole(self) -> Region:
@@ -155,11 +133,14 @@ class Level:
 
     def region(self, name: str) -> Region:
         """Return where an array is made, inside the raster."""
-        return self._regions.get(name, self.whole).intersect(self.whole)
+        if self.part is None:
+            return self.whole
+        made = self.part.made(name, self.shift, is_framed=self.is_framed)
+        return made.intersect(self.whole)
 
     def file(self, name: str) -> str:
         """Return the name of an array's file: heights and fills depend on the kind of pyramid."""
-        named = {"heights": self._kind, "fills": f"fills-{self._kind}"}
+        named = {"heights": self.kind, "fills": f"fills-{self.kind}"}
         return f"{named.get(name, name)}-{self.shift}"
 
     def __getitem__(self, name: str) -> Spool:
@@ -167,14 +148,15 @@ class Level:
 
     def drop(self, *names: str, is_needed: bool = False) -> None:
         """Give up arrays, in the journal too unless a later run needs them."""
-        for name in names:
-            if name in self.arrays:
-                spool = self.arrays.pop(name)
-                (spool.close if is_needed else spool.drop)()
+        for spool in [self.arrays.pop(name) for name in names if name in self.arrays]:
+            (spool.close if is_needed else spool.drop)()
 
 
 class Pyramid:
     """Targets of all levels of a raster; the finest is read from the source when asked for.
+
+    Levels too large for memory are spooled in `directory`; those in the journal `kept` are left for
+    a later run, and taken from an earlier one.
 
     Parameters
     ----------
@@ -182,20 +164,11 @@ class Pyramid:
         ``"lowpass"``, ``"lowpass53"`` or ``"nested"``.
     has_voids : bool
         Whether any sample of the raster is void; without voids no masks and fills are kept.
-    directory : Path
-        Where levels too large for memory are spooled.
-    executor : Executor
-        Makes the windows of a level side by side.
-    part : Part, optional
+    part : SubtreeRegion, optional
         Make the levels of a part of the raster, of any kind but ``"lowpass53"``; where there are
         voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
-
-    Attributes
-    ----------
-    kept : Kept
-        Where levels are left for a later run, and taken from; not those of a part.
     """
 
     def __init__(
@@ -219,9 +192,7 @@ class Pyramid:
         self._directory = directory
         self._executor = executor
         self._part = part
-        self._even_of: EvenOf = lambda _: None
-        if isinstance(source, IndexedWindows):
-            self._even_of = source.even
+        self._even_of: EvenOf = getattr(source, "even", _unknown)
         self.kept = Kept()
         self._levels: dict[int, Level] = {}
         self._first = 0 if base is None else base.shift
@@ -231,14 +202,9 @@ class Pyramid:
 
     def _level(self, shift: int) -> Level:
         if shift not in self._levels:
-            regions: dict[str, Region] = {}
-            if self._part is not None:
-                is_framed = self._has_voids or self._kind == "lowpass"
-                made = self._part.heights_region(shift, is_framed)
-                regions = dict.fromkeys(("heights", "mask", "own"), made)
-                regions |= dict.fromkeys(("averages", "known"), self._part.push_region(shift))
-                regions["fills"] = self._part.fill_region(shift)
-            self._levels[shift] = Level(shift, self._shape(shift), regions, self._kind)
+            is_framed = self._has_voids or self._kind == "lowpass"
+            shape = self._shape(shift)
+            self._levels[shift] = Level(shift, shape, self._kind, self._part, is_framed)
         return self._levels[shift]
 
     def build(self, report: Callable[[int, int], None]) -> None:
@@ -251,14 +217,13 @@ class Pyramid:
     def push(self) -> None:
         """Make the masks of all levels, and average valid heights up to one sample."""
         for shift in self._level_shifts():
-            names, even = ("mask", "own"), partial(self._even, shift)
-            self._make(f"mask-{shift}", shift, names, even, self._mask_window)
+            self._make(f"mask-{shift}", shift, ("mask", "own"), self._even, self._mask_window)
         shift, dropped = self._first, self._dropped_averages()
         while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
             shift += 1
             if shift not in dropped:
-                names, even = ("averages", "known"), partial(self._even, shift)
-                self._make(f"push-{shift}", shift, names, even, self._push_window)
+                names = "averages", "known"
+                self._make(f"push-{shift}", shift, names, self._even, self._push_window)
 
     def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         """Return averages of valid heights and where they are known, before `pull`."""
@@ -281,8 +246,7 @@ class Pyramid:
             level = self._level(finer)
             # Those of level 1 fill the full grid; of others nobody reads any more after heights.
             if finer == 1 or not self._is_kept_whole(level.file("heights")):
-                even = partial(self._unread, finer)
-                self._make(level.file("fills"), finer, ("fills",), even, self._pull_window)
+                self._make(level.file("fills"), finer, ("fills",), self._unread, self._pull_window)
             self._drop_averages(finer)
 
     def _drop_averages(self, shift: int) -> None:
@@ -316,14 +280,13 @@ class Pyramid:
         """Make the heights of every level above the full grid, after the fills of voids."""
         levels = [self._level(shift) for shift in self._level_shifts()]
         sizes = [math.prod(level.region("heights").shape) for level in levels]
-        make = {
-            "lowpass": self._lowpass_window,
-            "lowpass53": self._lowpass53_window,
-            "nested": self._nested_window,
-        }[self._kind]
+        # Only heights of nested levels are known without looking at those of the level below.
+        even_of: _EvenAt = _unknown
+        make: _MakeWindow = self._lowpass_window
+        if self._kind == "nested":
+            even_of, make = self._unread, self._nested_window
         for done, level in enumerate(levels, 1):
-            even = partial(self._even_heights, level.shift)
-            self._make(level.file("heights"), level.shift, ("heights",), even, make)
+            self._make(level.file("heights"), level.shift, ("heights",), even_of, make)
             if level.shift > 1:
                 level.drop("fills")
             report(sum(sizes[:done]), sum(sizes))
@@ -333,8 +296,8 @@ class Pyramid:
         name: str,
         shift: int,
         names: Sequence[str],
-        even_of: EvenOf,
-        window: Callable[[int, Region], Sequence[NDArray[Any]]],
+        even_of: _EvenAt,
+        window: _MakeWindow,
     ) -> None:
         """Make arrays of a level by windows, side by side; even parts are filled.
 
@@ -342,15 +305,15 @@ class Pyramid:
         """
         level = self._level(shift)
         region = level.region(names[0])
-        spools = []
-        for own in names:
-            path = self.kept.path(level.file(own))
-            origin = region.row, region.col
-            spools.append(Spool(region.shape, DTYPES[own], self._directory, origin, path))
+        place = self._directory, (region.row, region.col)
+        spools = [
+            Spool(region.shape, DTYPES[own], *place, self.kept.path(level.file(own)))
+            for own in names
+        ]
         level.arrays |= dict(zip(names, spools, strict=True))
 
         def uneven() -> Iterator[Region]:
-            for part, even in even_parts(region, TILE, even_of):
+            for part, even in even_parts(region, TILE, partial(even_of, shift)):
                 if even is None:
                     yield part
                     continue
@@ -370,14 +333,15 @@ class Pyramid:
             pass
 
     def close(self) -> None:
-        """Delete the spools."""
         for level in self._levels.values():
             for spool in level.arrays.values():
                 spool.close()
 
     def heights(self, level: int, region: Region) -> Heights:
         """Return the target heights of a region of a level; voids hold their fill."""
-        return self._read_heights(self._grid.k_max - level, region)
+        if level < self._grid.k_max:
+            return self._levels[self._grid.k_max - level]["heights"].read(region)
+        return self.targets(level, region)[0]
 
     def steps(self, level: int, region: Region) -> Heights:
         """Return heights of the pyramid of the 5/3 wavelet, which is made of whole steps."""
@@ -410,7 +374,10 @@ class Pyramid:
         """Return `heights` and `mask` of a region; of the full grid by one look at the source."""
         if level < self._grid.k_max:
             return self.heights(level, region), self.mask(level, region)
-        return self._filled_originals(region)
+        quanta, valid = self.originals(region)
+        if self._has_voids and not valid.all():
+            self._fill(0, region, quanta, valid)
+        return quanta, valid
 
     def originals(self, region: Region) -> tuple[Heights, Mask]:
         """Return quanta and validity of the full grid, 0 in voids."""
@@ -454,51 +421,22 @@ class Pyramid:
         even = self._even(shift, region)
         return even if even is not None and even.is_valid else None
 
-    def _even_heights(self, shift: int, region: Region) -> Even | None:
-        """Return what the heights of a region are, without looking at those of the level below."""
-        return self._unread(shift, region) if self._kind == "nested" else None
-
     def _level_shifts(self) -> range:
         return range(self._first + 1, self._last + 1)
 
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
 
-    def _read_heights(self, shift: int, region: Region) -> Heights:
-        if shift:
-            return self._levels[shift]["heights"].read(region)
-        return self._filled_originals(region)[0]
-
-    def _filled_originals(self, region: Region) -> tuple[Heights, Mask]:
-        """Return quanta and validity of the full grid, voids filled."""
-        quanta, valid = self.originals(region)
-        if self._has_voids and not valid.all():
-            self._fill(0, region, quanta, valid)
-        return quanta, valid
-
-    def _lowpass53_window(self, shift: int, region: Region) -> Sequence[Heights]:
-        level = self._grid.k_max - (shift - 1)
-        fine = _around(region, _LOWPASS53_HALO).intersect(self._level(shift - 1).whole)
-        return (
-            lowpass_window(
-                self.steps(level, fine),
-                (fine.row, fine.col),
-                self._shape(shift - 1),
-                (region.row, region.col),
-                region.shape,
-                *TileLayout(self._grid).lowpass_tiles(level),
-            ),
-        )
-
     def _lowpass_window(self, shift: int, region: Region) -> Sequence[Heights]:
-        fine = _around(region, _LOWPASS_HALO).intersect(self._level(shift - 1).whole)
-        heights = lowpass_analysis(
-            self._read_heights(shift - 1, fine),
-            (fine.row, fine.col),
-            self._shape(shift - 1),
-            (region.row, region.col),
-            region.shape,
-        )
+        level, is_in_tiles = self._grid.k_max - (shift - 1), self._kind == "lowpass53"
+        halo = _LOWPASS53_HALO if is_in_tiles else _LOWPASS_HALO
+        fine = _around(region, halo).intersect(self._level(shift - 1).whole)
+        first = region.row, region.col
+        place = (fine.row, fine.col), self._shape(shift - 1), first, region.shape
+        if is_in_tiles:
+            tiles = TileLayout(self._grid).lowpass_tiles(level)
+            return (lowpass_window(self.steps(level, fine), *place, *tiles),)
+        heights = lowpass_analysis(self.heights(level, fine), *place)
         # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
         return (np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights),)
 
@@ -582,6 +520,10 @@ class Pyramid:
             min(region.col + region.n_cols >> 1, last_col) - (region.col >> 1) + 1,
         )
         pull(above["fills"].read(outer), region.row & 1, region.col & 1, known, values)
+
+
+def _unknown(*_: object) -> None:
+    return None
 
 
 def touched(fine: Mask, reach: int) -> Mask:

@@ -7,17 +7,14 @@ level of the subtree has a spool of 20 MiB, the rest lies on the machine's disk.
 """
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from terrainwave.codec.refiner import Refiner
+from terrainwave.codec.refiner import Heights, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.spool_sink import SpoolSink, copied_segments
@@ -48,6 +45,8 @@ from terrainwave.write.tasks.task import workplace
 _CACHE_BYTES = 64 << 20
 _SCAN_SIDE = 2048
 ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
+# Heights given to voids, and the row and column of the first.
+Fills = tuple[Sequence[int], Heights]
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,6 @@ class Site:
 
     @property
     def depot(self) -> Depot:
-        """Return the depot as this machine uses it."""
         return Depot(self.root, workplace().folder)
 
     @property
@@ -78,22 +76,14 @@ class Site:
         """Return the number of levels below the blocks that tasks begin at."""
         return self.grid.k_max - self.level
 
-    @property
-    def method(self) -> str:
-        """Return the method's name; a plain one may be tried as well, under other names."""
-        return self.job.options.named_method.name
-
     def refiner(self) -> Refiner:
-        """Return the refiner with the file's tables."""
-        return refiner_by_name(self.method, self.file_tables)
+        return refiner_by_name(self.job.options.named_method.name, self.file_tables)
 
-    def name(self, stage: str, head: Block) -> str:
-        """Return the name of a task's result in the depot."""
-        return f"{self.method}-{stage}-{head.level}-{head.row}-{head.col}"
-
-    def top_name(self, stage: str) -> str:
-        """Return the name of the segments above all tasks."""
-        return f"{self.method}-{stage}"
+    def name(self, stage: str, head: Block | None = None) -> str:
+        """Return the name in the depot of a task's result, or of the segments above all tasks."""
+        # With the method's: a plain one may be tried as well.
+        place = "" if head is None else f"-{head.level}-{head.row}-{head.col}"
+        return f"{self.job.options.named_method.name}-{stage}{place}"
 
     def top_heads(self) -> list[Block | None]:
         """Return the heads of the segments above all tasks, parents first."""
@@ -104,25 +94,41 @@ class Site:
         """Return the segments of a stage that are in the depot, with those above them."""
 
         @cache
-        def top() -> dict[Block | None, StoredSegment]:
-            return stored_places(self.depot, self.top_name(top_stage), self.top_heads())
-
-        @cache
-        def below(start: Block) -> dict[Block | None, StoredSegment]:
+        def stored(start: Block | None) -> dict[Block | None, StoredSegment]:
+            if start is None:
+                return stored_places(self.depot, self.name(top_stage), self.top_heads())
             heads: list[Block | None] = [*self.grid.segment_heads_below(start)]
             return stored_places(self.depot, self.name(stage, start), heads)
 
         def place(head: Block | None) -> StoredSegment:
             if head is None or head.level < self.level:
-                return top()[head]
+                return stored(None)[head]
             depth = head.level - self.level
-            return below(Block(self.level, head.row >> depth, head.col >> depth))[head]
+            return stored(Block(self.level, head.row >> depth, head.col >> depth))[head]
 
         return StoredSegments(self.grid, self.depot, place)
 
-    def pyramid(self, bench: Bench, region: Region) -> Pyramid:
-        """Return the pyramid of a part of the raster, not yet built."""
-        return bench.pyramid(self.job, part=SubtreeRegion(region, self.shift))
+    @contextmanager
+    def decoded(self, stage: str, top_stage: str) -> Iterator[tuple[TreeDecoder, StoredSegments]]:
+        """Yield a decoder of the `segments` of a stage, and these."""
+        with self.segments(stage, top_stage) as stored:
+            source = groups_by(self.refiner(), stored.payloads)
+            yield TreeDecoder(self.grid, self.job.parameters, source, _CACHE_BYTES), stored
+
+    @contextmanager
+    def levels(self, bench: Bench, region: Region, fills: Fills | None) -> Iterator[Pyramid]:
+        """Yield the levels of a part of the raster; `fills` are the coarsest, if it has voids."""
+        pyramid = bench.pyramid(self.job, part=SubtreeRegion(region, self.shift))
+        with closing(pyramid):
+            if fills is not None:
+                (row, col, *_), heights = fills
+                n_rows, n_cols = heights.shape
+                spool = Spool((n_rows, n_cols), heights.dtype, bench.directory, (row, col))
+                spool.write(spool.region, heights)
+                pyramid.push()
+                pyramid.pull(spool)
+            pyramid.make_heights(lambda *_: None)
+            yield pyramid
 
 
 def own_region(grid: Grid, head: Block) -> Region:
@@ -133,13 +139,6 @@ def own_region(grid: Grid, head: Block) -> Region:
     if grid.contains(Block(head.level, head.row, head.col + 1)):
         n_cols -= 1
     return Region(row, col, n_rows, n_cols)
-
-
-def spool_of(values: np.ndarray, origin: tuple[int, int], directory: Path) -> Spool:
-    """Return an array as a spool that begins at `origin`."""
-    spool = Spool((values.shape[0], values.shape[1]), values.dtype, directory, origin)
-    spool.write(spool.region, values)
-    return spool
 
 
 @contextmanager
@@ -168,13 +167,12 @@ def scan_region(
 
 def push_levels(site: Site, head: Block) -> None:
     """Store the mask of a subtree's coarsest level and the averages of its valid samples."""
-    with _bench(site.raster) as bench:
-        pyramid = site.pyramid(bench, site.grid.full_region(head))
+    part = SubtreeRegion(site.grid.full_region(head), site.shift)
+    with _bench(site.raster) as bench, closing(bench.pyramid(site.job, part=part)) as pyramid:
         pyramid.push()
         region = site.grid.block_region(head)
         averages, known = pyramid.pushed(site.shift, region)
         mask, own = pyramid.mask(site.level, region), pyramid.own(site.level, region)
-        pyramid.close()
     site.depot.save(site.name("pushed", head), mask=mask, own=own, averages=averages, known=known)
 
 
@@ -187,19 +185,13 @@ def make_levels(site: Site, head: Block) -> None:
 
 @contextmanager
 def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, Bench]]:
-    """Yield the levels of a subtree."""
-    with _bench(site.raster) as bench:
-        pyramid = site.pyramid(bench, site.grid.full_region(head))
-        try:
-            if site.job.has_voids:
-                fills = site.depot.load(site.name("fills", head))
-                row, col = fills["origin"].tolist()
-                pyramid.push()
-                pyramid.pull(spool_of(fills["heights"], (row, col), bench.directory))
-            pyramid.make_heights(lambda *_: None)
-            yield pyramid, bench
-        finally:
-            pyramid.close()
+    fills: Fills | None = None
+    if site.job.has_voids:
+        stored = site.depot.load(site.name("fills", head))
+        fills = stored["origin"].tolist(), stored["heights"]
+    region = site.grid.full_region(head)
+    with _bench(site.raster) as bench, site.levels(bench, region, fills) as pyramid:
+        yield pyramid, bench
 
 
 # Pass B
@@ -223,17 +215,14 @@ class EncodedSubtree(NamedTuple):
 def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
     """Code all groups of a subtree and store their segments in the depot."""
     job, grid = site.job, site.grid
-    refiner = site.refiner()
     heads: list[Block | None] = [*grid.segment_heads_below(head)]
     with (
         _built_pyramid(site, head) as (pyramid, bench),
-        site.segments(CODED, ABOVE) as above,
+        site.decoded(CODED, ABOVE) as (decoder, _),
     ):
-        source = groups_by(refiner, above.payloads)
-        decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
         sink = SpoolSink(grid, bench.directory)
         encoder = TreeEncoder(
-            grid, refiner, job.parameters, pyramid, sink, lambda _: None, may_repeat=job.may_repeat
+            grid, job.parameters, pyramid, sink, refiner=site.refiner(), may_repeat=job.may_repeat
         )
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
@@ -250,13 +239,6 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
 
 
 # Meshes
-
-
-class FinishedSubtree(NamedTuple):
-    """Result of meshing a subtree: errors of ancestors in 1/16 quanta."""
-
-    places: tuple[StoredSegment, ...]
-    ancestors: dict[Block, int]
 
 
 def mesher_of(
@@ -278,18 +260,6 @@ def mesher_of(
     )
 
 
-@contextmanager
-def _stored_mesher(
-    site: Site, part: Callable[[StoredSegments], Callable[[Block], bytes]] | None = None
-) -> Iterator[tuple[BlockMesher, StoredSegments]]:
-    """Yield a mesher over the coded segments."""
-    with site.segments(CODED, TOP) as stored:
-        source = groups_by(site.refiner(), stored.payloads)
-        decoder = TreeDecoder(site.grid, site.job.parameters, source, _CACHE_BYTES)
-        parts = None if part is None else part(stored)
-        yield mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts), stored
-
-
 def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int) -> bool:
     """Make a round of drafts of a subtree's meshes; return whether any changed.
 
@@ -300,7 +270,8 @@ def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int
         start: BorderState.from_arrays(site.depot.load(_state_name(site, start, last)))
         for start, last in rounds.items()
     }
-    with _stored_mesher(site) as (mesher, _):
+    with site.decoded(CODED, TOP) as (decoder, stored):
+        mesher = mesher_of(site, decoder, lambda block: stored.codes(block)[2])
         if not states:
             blocks = [
                 block
@@ -322,57 +293,46 @@ def _state_name(site: Site, head: Block, number: int) -> str:
     return site.name(f"borders{number}", head)
 
 
-def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedSubtree:
+def finish_subtree(
+    site: Site, head: Block, last_round: int | None
+) -> tuple[tuple[StoredSegment, ...], dict[Block, int]]:
     """Make and measure the meshes of a subtree; store its finished segments in the depot.
 
     `last_round` is the round of `draft_subtree` that last changed something here; None for meshes
-    without stored bytes.
+    without stored bytes. Return the segments, and the errors of ancestors in 1/16 quanta.
     """
-    grid = site.grid
+    grid, job, lost = site.grid, site.job, Fraction(site.job.lost)
     sections: dict[Block, bytes] = {}
+    with _bench(site.raster) as bench, site.decoded(CODED, TOP) as (decoder, stored):
 
-    def parts(stored: StoredSegments) -> Callable[[Block], bytes]:
         def section(key: Block) -> bytes:
             return stored.mesh(key) if key.level < head.level else sections.get(key, b"")
 
-        return parts_of_blocks(grid, section)
-
-    with _bench(site.raster) as bench, _stored_mesher(site, parts) as (mesher, stored):
-        if site.job.options.mesh_kind in STORED_KINDS:
+        parts = parts_of_blocks(grid, section)
+        mesher = mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts)
+        if job.options.mesh_kind in STORED_KINDS:
             state = BorderState.from_arrays(
                 site.depot.load(_state_name(site, head, last_round or 0))
             )
             sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
-        originals = site.pyramid(bench, grid.full_region(head)).originals
-        lost = Fraction(site.job.lost)
+        part = SubtreeRegion(grid.full_region(head), site.shift)
+        originals = bench.pyramid(job, part=part).originals
+        finest = grid.descendants(head, grid.k_max)
         found = measure_meshes(
-            grid,
-            mesher,
-            originals,
-            bench.executor,
-            lambda _: None,
-            lost,
-            grid.descendants(head, grid.k_max),
+            grid, mesher, originals, bench.executor, lambda _: None, lost, finest
         )
         own = {block: error for block, error in found.items() if block.level > head.level}
-        codes = mesher.error_codes(own, lost, by_recursion=site.job.options.faithful)
+        codes = mesher.error_codes(own, lost, by_recursion=job.options.faithful)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
         spools = copied_segments(grid, heads, stored, codes, bench.directory, sections)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
-    ancestors = {block: error for block, error in found.items() if block not in own}
-    return FinishedSubtree(tuple(places.values()), ancestors)
+    return tuple(places.values()), {block: found[block] for block in found.keys() - own.keys()}
 
 
 # Pass C
 
 
 def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> Proved:
-    """Return the largest difference of a finished file from the raster, and digests of tiles.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than the bound from the original, or valid where that is void.
-    """
+    """Return the largest difference of a finished file from the raster, and digests of tiles."""
     with site.raster.open() as source, comparison_of(path, site.job, source) as comparison:
         return together(map(comparison.all, comparison.shares(source, region)))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import closing
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -24,13 +24,13 @@ from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validit
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tile_decoder import final_heights
-from terrainwave.write.encoder import Start, UnitEncoder
+from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.passes.found import Stats
+from terrainwave.write.passes.bench import Bench
+from terrainwave.write.passes.found import Start, Stats
 from terrainwave.write.pyramid import Pyramid
 
 # Steps of the bisection by errors; each decodes everything.
@@ -45,56 +45,41 @@ _Start = tuple[Block, LevelHeights | None]
 
 def encode_tiles(
     job: Job,
-    pyramid: Pyramid,
-    sink: SpoolSink,
-    directory: Path,
-    on_samples: Callable[[int], None],
-    executor: Crew,
+    walked: tuple[Grid, CodecParameters, Pyramid, SpoolSink, Callable[[int], None]],
+    bench: Bench,
 ) -> Stats:
-    """Code every tile, cut as the job requires; return the statistics."""
-    options, parameters = job.options, job.parameters
+    """Code every tile, cut as the job requires; return the statistics.
+
+    `walked` are the arguments of a `TreeEncoder`.
+    """
+    options, executor = job.options, bench.executor
+    _, parameters, pyramid, _, on_samples = walked
     coder = TileCoder(pyramid)
     if not options.is_embedded:
-        return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
+        return TileEncoder(coder, *walked).run(executor)
     layout = TileLayout(job.grid, parameters.has_voids)
-    with closing(EmbeddedSource(coder, layout, directory)) as source:
+    with closing(EmbeddedSource(coder, layout, bench.directory)) as source:
         source.code(executor, on_samples)
-        if options.rate is not None:
-            source.cut_to_size(_payload_bytes(job, options.rate))
-        elif options.psnr is not None:
+        rate, psnr = (getattr(options.choice.own, name, None) for name in ("rate", "psnr"))
+        if rate is not None:
+            n_bytes = int(rate * job.grid.n_rows * job.grid.n_cols / 8)
+            source.cut_to_size(n_bytes - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units())
+        elif psnr is not None:
             span = parameters.z_max - parameters.z_min
-            source.cut_to_error(span**2 * 10.0 ** (-options.psnr / 10), parameters, executor)
-        return TileEncoder(job.grid, parameters, pyramid, source, sink, on_samples).run(executor)
+            source.cut_to_error(span**2 * 10.0 ** (-psnr / 10), parameters, executor)
+        return TileEncoder(source, *walked).run(executor)
 
 
-def _payload_bytes(job: Job, rate: float) -> int:
-    """Return the bytes available for payloads in a file of `rate` bits per sample."""
-    n_samples = job.grid.n_rows * job.grid.n_cols
-    return int(rate * n_samples / 8) - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units()
+# Source of a tile's payload, once the tile above is decoded; empty if no sample is valid.
+TileSource = Callable[[TileSpec, LevelHeights | None], bytes]
 
 
-class TileSource(Protocol):
-    """Source of a tile's payload, once the tile above is decoded."""
-
-    def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
-        """Return the payload; empty if no sample of the tile is valid."""
-        ...
-
-
-class TileEncoder(UnitEncoder):
+class TileEncoder(TreeEncoder):
     """Encode all tiles of a raster."""
 
-    def __init__(
-        self,
-        grid: Grid,
-        parameters: CodecParameters,
-        pyramid: Pyramid,
-        source: TileSource,
-        sink: SpoolSink,
-        on_samples: Callable[[int], None],
-    ) -> None:
-        super().__init__(grid, parameters, pyramid, sink, on_samples)
-        self._layout = TileLayout(grid, parameters.has_voids)
+    def __init__(self, source: TileSource, *rest: Any) -> None:
+        super().__init__(*rest)
+        self._layout = TileLayout(self.grid, self.parameters.has_voids)
         self._source = source
         # Decoded tiles with pending units, and their number; the heads of pending tiles.
         self._tiles: dict[Block, list[LevelHeights]] = {}
@@ -110,7 +95,7 @@ class TileEncoder(UnitEncoder):
         tile_key = self._layout.key_of(key)
         payload = self._begin(key) if key == tile_key else b""
         level = self._tiles[tile_key][key.level + 1 - max(tile_key.level + 1, 0)]
-        decoded = final_heights(level.part(spec.region), self._parameters)
+        decoded = final_heights(level.part(spec.region), self.parameters)
         with self._lock:
             self._n_units[tile_key] -= 1
             if not self._n_units[tile_key]:
@@ -118,7 +103,6 @@ class TileEncoder(UnitEncoder):
         return payload, decoded
 
     def _begin(self, key: Block) -> bytes:
-        """Code a tile and store it decoded."""
         spec = self._layout.spec(key)
         outer = None if spec.is_root else self._heads[key]
         payload = self._source(spec, outer)
@@ -128,7 +112,7 @@ class TileEncoder(UnitEncoder):
             self._tiles[key] = levels
             self._n_units[key] = self._layout.n_units(key)
             for head in self._layout.below(key):
-                self._heads[head] = levels[-1].part(self._grid.block_region(head)).copy()
+                self._heads[head] = levels[-1].part(self.grid.block_region(head)).copy()
         return payload
 
 
@@ -182,7 +166,6 @@ class EmbeddedSource:
         self._spool.close()
 
     def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:
-        """Code every tile of the raster."""
         lock = threading.Lock()
 
         def code(key: Block) -> None:
@@ -210,12 +193,10 @@ class EmbeddedSource:
         return unpack_tile(spec, next(self._spool.chunks([spec.key])))
 
     def _cut(self, key: Block, position: float) -> int:
-        """Return the number of bytes to keep of a tile's stream."""
         _, ends, total, n_below = self._streams[key]
         return plane_cut(ends, total, position - n_below)
 
     def n_bytes(self, position: float) -> int:
-        """Return the bytes of all payloads cut at `position`."""
         return sum(
             n_head + packed_length(self._cut(key, position))
             for key, (n_head, *_) in self._streams.items()
@@ -229,13 +210,7 @@ class EmbeddedSource:
         )
 
     def cut_to_size(self, max_bytes: int) -> None:
-        """Set `position` to the finest one at which all payloads take at most `max_bytes`.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If the heads alone take more.
-        """
+        """Set `position` to the finest one at which all payloads take at most `max_bytes`."""
         coarsest = float(self._coarsest)
         if self.n_bytes(coarsest) > max_bytes:
             raise InvalidArgumentError(

@@ -1,7 +1,7 @@
 """The raster, threads and folder that the passes of a run share."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -9,12 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from terrainwave.container.header import Header
 from terrainwave.container.targets.kept import Kept
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
+from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.blocks import BlockMesher
+from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.read.decoder import TreeDecoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Base, Pyramid, SourceWindows, SubtreeRegion
 
@@ -36,13 +41,7 @@ class AskedRaster(NamedTuple):
         )  # fmt: skip
 
     def shared(self) -> "AskedRaster":
-        """Return the raster as other machines open it.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If it is no path or URL, and no list of them.
-        """
+        """Return the raster as other machines open it."""
         sources = self.src if isinstance(self.src, list | tuple) else [self.src]
         if not all(isinstance(source, str | os.PathLike) for source in sources):
             raise InvalidHeightsError(
@@ -93,4 +92,19 @@ class Bench:
             executor=self.executor,
             part=part,
             base=base,
+        )
+
+    def meshes(
+        self, header: Header, decoder: TreeDecoder, errors: Mapping[Block, int]
+    ) -> tuple[BlockMesher, dict[Block, bytes]]:
+        """Return the mesher of a file without meshes, and the sections that it will have."""
+        return make_meshes(
+            header.grid,
+            decoder,
+            lambda block: errors.get(block, 0),
+            header.mesh_tolerance,
+            has_voids=header.has_voids,
+            kind=header.mesh,
+            executor=self.executor,
+            on_samples=self.counter("making meshes"),
         )

@@ -4,11 +4,12 @@ import json
 import threading
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
+from terrainwave.codec.refiner import Decoded, Heights
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.grid.block_stats import BlockStats
-from terrainwave.grid.quadtree import Block
+from terrainwave.grid.quadtree import Block, Region
 
 Stats = dict[Block, BlockStats]
 
@@ -46,7 +47,6 @@ class Found:
         return None if self.sink is None else self.sink.repeat
 
     def add(self, key: Block, payload: bytes) -> None:
-        """Store the payload of a unit."""
         (self.payloads.__setitem__ if self.sink is None else self.sink)(key, payload)
 
     def leave_out(self, block: Block) -> None:
@@ -54,7 +54,6 @@ class Found:
         (self.left_out.append if self.sink is None else self.sink.leave_out)(block)
 
     def note(self, stats: Stats) -> None:
-        """Merge statistics of blocks."""
         with self.lock:
             for block, own in stats.items():
                 self.stats.setdefault(block, BlockStats()).merge(own)
@@ -70,7 +69,6 @@ class Found:
             self.apart_from[block] = max(apart, self.apart_from.get(block, 0))
 
     def take(self, other: "Found") -> None:
-        """Merge the results of a subtree."""
         for key, payload in other.payloads.items():
             self.add(key, payload)
         for block in other.left_out:
@@ -98,7 +96,6 @@ class Found:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Found":
-        """Undo `to_bytes`."""
         line, _, data = data.partition(b"\n")
         values, payloads, offset = json.loads(line), dict[Block, bytes](), 0
         for *key, length in values["lengths"]:
@@ -113,3 +110,23 @@ class Found:
             apart_from={Block(*block): apart for *block, apart in values["apart_from"]},
             has_corrections=values["has_corrections"],
         )
+
+
+class Ancestor(NamedTuple):
+    """A decoded block above a unit, without its apron."""
+
+    block: Block
+    region: Region
+    heights: Heights
+
+
+class Start(NamedTuple):
+    """Unit to code: its key, the decoded block above it, that block's ancestors and itself.
+
+    `found` takes the results.
+    """
+
+    key: Block
+    parent: Decoded | None
+    chain: list[Ancestor]
+    found: Found

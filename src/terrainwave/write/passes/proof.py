@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple, TypeVar
 
@@ -47,7 +48,6 @@ NOTHING = Proved(0.0, {})
 
 
 def together(found: Iterable[Proved]) -> Proved:
-    """Merge the results of several parts."""
     largest, tiles = 0.0, dict[Place, bytes]()
     for one in found:
         largest = max(largest, one.error)
@@ -78,11 +78,6 @@ def unproved(
     segment, or a block as large as a window. The file's index proves most of the voids that the
     source knows; windows in which the file has heights there are compared. Of voids known from the
     source's index some samples are read again, of those known only from the scan all.
-
-    Raises
-    ------
-    BoundViolationError
-        If the source contradicts its index or the scan.
     """
     side = _side_of(grid)
     whole = within or Region(0, 0, grid.n_rows, grid.n_cols)
@@ -138,6 +133,7 @@ def _around(grid: Grid, block: Block) -> Region:
     )
 
 
+@dataclass
 class Comparison:
     """Compares a finished, decoded file with its raster; thread-safe.
 
@@ -147,59 +143,43 @@ class Comparison:
     compared samples.
     """
 
-    def __init__(
-        self,
-        terrain: TerrainFile,
-        source: SourceWindows,
-        allowed: float,
-        has_digests: bool,
-        count: Callable[[int], None] = lambda _: None,
-    ) -> None:
-        self._terrain = terrain
-        self._source = source
-        self._allowed = allowed
-        self._has_digests = has_digests
-        self._count = count
-        self._even = EvenBlocks(terrain.container, terrain.decoder)
+    terrain: TerrainFile
+    source: SourceWindows
+    allowed: float
+    has_digests: bool
+    count: Callable[[int], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        self._even = EvenBlocks(self.terrain.container, self.terrain.decoder)
         # Places of tiles are those of the first block.
         self._known: dict[tuple[Content, bytes], tuple[Block, Proved]] = {}
-
-    def windows(self, windows: Iterable[Region]) -> Proved:
-        """Compare windows (`compare_window`)."""
-        return together(
-            compare_window(self._terrain, self._source, one, self._allowed, self._has_digests)
-            for one in windows
-        )
 
     def all(self, whole: Iterable[Region | Block]) -> Proved:
         """Compare windows and blocks, as `unproved` yields them."""
         all_found = []
         for one in whole:
-            all_found.append(self.block(one) if isinstance(one, Block) else self.windows([one]))
-            self._count(_n_samples(self._terrain.grid, one))
+            all_found.append(self._block(one) if isinstance(one, Block) else self._window(one))
+            self.count(_n_samples(self.terrain.grid, one))
         return together(all_found)
+
+    def _window(self, window: Region) -> Proved:
+        return compare_window(self.terrain, self.source, window, self.allowed, self.has_digests)
 
     def shares(
         self, source: IndexedWindows, within: Region | None = None
     ) -> Iterator[Sequence[Region | Block]]:
         """Yield the shares of `unproved` in portions, as there may be millions."""
-        grid = self._terrain.grid
-        whole = unproved(self._terrain, source, grid, within)
+        grid = self.terrain.grid
+        whole = unproved(self.terrain, source, grid, within)
         while batch := list(islice(whole, _BATCH)):
             yield from ([one] for one in batch if isinstance(one, Block))
             windows = [one for one in batch if isinstance(one, Region)]
             yield from proof_shares(grid, windows)
 
-    def block(self, block: Block) -> Proved:
-        """Compare all below a block on which the source has one height.
-
-        Raises
-        ------
-        BoundViolationError
-            As `compare_window` does.
-        """
-        region = _own_samples(self._terrain.grid, block)
-        raw = self._source.read(region.row, region.col, 1, 1)[0]
+    def _block(self, block: Block) -> Proved:
+        """Compare all below a block on which the source has one height."""
+        region = _own_samples(self.terrain.grid, block)
+        raw = self.source.read(region.row, region.col, 1, 1)[0]
         content = self._even.content(block)
         if content is None:
             return self._below(block, raw)
@@ -214,26 +194,22 @@ class Comparison:
 
     def _below(self, block: Block, raw: NDArray[np.generic]) -> Proved:
         """Compare all below a block on which all originals equal the one of `raw`."""
-        grid, quantizer = self._terrain.grid, self._terrain.quantizer
+        grid, quantizer = self.terrain.grid, self.terrain.quantizer
         heights = None if quantizer.remainder_bytes else self._even.below(block)
         if heights is not None:
             decoded = quantizer.dequantize(np.array([[*heights]], dtype=np.int32))
             errors = np.abs(decoded.astype(np.float64) - raw.astype(np.float64))
-            is_good = errors.max() <= self._allowed
-            if is_good and not self._has_digests:
+            is_good = errors.max() <= self.allowed
+            if is_good and not self.has_digests:
                 return Proved(float(errors.max()), {})
             if is_good and len(heights) == 1:
-                return Proved(float(errors.max()), _even_tiles(_own_samples(grid, block), decoded))
+                shape, places = (TILE, TILE), _own_samples(grid, block).tiles(TILE, TILE)
+                even = np.broadcast_to(decoded, shape), np.ones(shape, dtype=np.bool_)
+                digest = tile_digests(Region(0, 0, *shape), *even)[0, 0]
+                at = [(place.row // TILE, place.col // TILE) for place in places]
+                return Proved(float(errors.max()), dict.fromkeys(at, digest))
         side = _side_of(grid)
-        return self.windows(_own_samples(grid, block).tiles(side, side))
-
-
-def _even_tiles(region: Region, height: NDArray[np.generic]) -> dict[Place, bytes]:
-    """Return the digests of tiles of one height, given as an array of shape (1, 1)."""
-    shape = TILE, TILE
-    valid = np.ones(shape, dtype=np.bool_)
-    one = tile_digests(Region(0, 0, *shape), np.broadcast_to(height, shape), valid)[0, 0]
-    return {(row // TILE, col // TILE): one for row, col, _, _ in region.tiles(TILE, TILE)}
+        return together(map(self._window, _own_samples(grid, block).tiles(side, side)))
 
 
 def _side_of(grid: Grid) -> int:
@@ -243,13 +219,7 @@ def _side_of(grid: Grid) -> int:
 def compare_window(
     terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float, has_digests: bool
 ) -> Proved:
-    """Return the largest error in a window, and the digests of its tiles if `has_digests`.
-
-    Raises
-    ------
-    BoundViolationError
-        If a sample is further than `allowed` from the original, or valid where that is void.
-    """
+    """Return the largest error in a window, and the digests of its tiles if `has_digests`."""
     raw, valid = source.read(*region)
     decoded, decoded_valid = terrain.read_with_mask(region)
     if not np.array_equal(valid, decoded_valid):
@@ -289,7 +259,6 @@ def _compare_bits(
 def _largest_error(
     raw: NDArray[np.generic], decoded: NDArray[np.generic], valid: NDArray[np.bool_]
 ) -> float:
-    """Return the largest difference of valid heights; at least one is valid."""
     is_whole = bool(valid.all())
     if raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2:
         # Differences have 17 bits; masking them is faster than selecting valid ones.
@@ -322,55 +291,46 @@ def measured_error(largest: float, quantizer: Quantizer) -> float:
     return largest
 
 
-class Proof:
-    """Proof of a whole file, put together from its parts.
+def collected(found: Iterable[Proved], shape: tuple[int, int]) -> tuple[float, TileDigests]:
+    """Return the largest error of all parts of a raster, and the digests of its tiles."""
+    largest, tiles = 0.0, TileDigests(shape)
+    for one in found:
+        largest = max(largest, one.error)
+        tiles.add(one.tiles)
+    return largest, tiles
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the raster.
+
+def compared(
+    path: str | os.PathLike[str] | bytes,
+    shares: Iterable[Sequence[ShareT]],
+    compare: Callable[[Sequence[ShareT]], Proved],
+    bench: Bench,
+) -> Iterator[Proved]:
+    """Compare shares of a file in threads; yield results that cover it.
+
+    What an earlier run has compared of a file with the same bytes is not compared again.
     """
+    shares, kept, waiting, n_records, done = iter(shares), bench.kept, NOTHING, 0, 0
+    name = ""
+    if kept.is_on and not isinstance(path, bytes):
+        name = f"proof/{digest_of_file(path)}"
+        while (record := kept.get(f"{name}/{n_records}")) is not None:
+            data, places = kept.data(f"{name}/{n_records}"), enumerate(record["places"])
+            tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in places}
+            yield Proved(record["largest"], tiles)
+            done, n_records = record["done"], n_records + 1
+        for _ in islice(shares, done):
+            pass
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self.largest, self.tiles = 0.0, TileDigests(shape)
-
-    def add(self, found: Proved) -> None:
-        """Add the result of a part."""
-        self.largest = max(self.largest, found.error)
-        self.tiles.add(found.tiles)
-
-    def compare(
-        self,
-        path: str | os.PathLike[str] | bytes,
-        shares: Iterable[Sequence[ShareT]],
-        compare: Callable[[Sequence[ShareT]], Proved],
-        bench: Bench,
-    ) -> None:
-        """Compare shares of a file in threads.
-
-        What an earlier run has compared of a file with the same bytes is not compared again.
-        """
-        shares, kept, waiting, n_records, done = iter(shares), bench.kept, NOTHING, 0, 0
-        name = ""
-        if kept.is_on and not isinstance(path, bytes):
-            name = f"proof/{digest_of_file(path)}"
-            while (record := kept.get(f"{name}/{n_records}")) is not None:
-                data, places = kept.data(f"{name}/{n_records}"), enumerate(record["places"])
-                tiles = {(row, col): data[32 * n : 32 * (n + 1)] for n, (row, col) in places}
-                self.add(Proved(record["largest"], tiles))
-                done, n_records = record["done"], n_records + 1
-            for _ in islice(shares, done):
-                pass
-
-        while batch := list(islice(shares, _SHARES)):
-            for found in bench.executor.map(compare, batch):
-                self.add(found)
-                waiting, done = together([waiting, found]), done + 1
-                if name and kept.is_due(name):
-                    error, tiles = waiting
-                    values = {"done": done, "largest": error, "places": list(tiles)}
-                    kept.put(f"{name}/{n_records}", values, b"".join(tiles.values()))
-                    waiting, n_records = NOTHING, n_records + 1
+    while batch := list(islice(shares, _SHARES)):
+        for found in bench.executor.map(compare, batch):
+            yield found
+            waiting, done = together([waiting, found]), done + 1
+            if name and kept.is_due(name):
+                error, tiles = waiting
+                values = {"done": done, "largest": error, "places": list(tiles)}
+                kept.put(f"{name}/{n_records}", values, b"".join(tiles.values()))
+                waiting, n_records = NOTHING, n_records + 1
 
 
 @contextmanager

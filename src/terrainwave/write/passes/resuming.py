@@ -50,24 +50,10 @@ def run_directory(
 ) -> Iterator[tuple[Path, Kept]]:
     """Yield a directory for temporary files, and the finished work of earlier runs.
 
-    Parameters
-    ----------
-    target : Path
-        Absolute path. Nobody else writes it meanwhile.
-    src : object, or a list of these
-        The source as the user gave it. Files are the same if their names, sizes and times are; for
-        sources without these, see `by_heights`.
-    shape : tuple of int
-        Rows and columns of the result.
-    depends_on : dict
-        Everything else that the result depends on, as plain values for JSON.
-    fresh : bool
-        Discard the work of earlier runs.
-    is_kept : bool
-        Keep work; otherwise existing work is removed.
-    by_heights : bool
-        The caller compares a digest of the heights if only that identifies the source
-        (`is_by_heights`). Otherwise work on such a source is not kept.
+    Files of `src`, one source or a list, are the same if their names, sizes and times are. Of other
+    sources work is kept only `by_heights`: then the caller compares a digest of the heights
+    (`is_by_heights`). `depends_on` is all else that the result depends on, as plain values for
+    JSON. Nobody else writes `target`, an absolute path, meanwhile.
     """
     run = None
     if is_kept and shape[0] * shape[1] >= LEAST_SAMPLES:
@@ -93,7 +79,6 @@ def _asked_for(src: Any) -> Any:
 
 
 def note_that_removed(why: str) -> None:
-    """Warn that the work of an earlier run was of no use."""
     warnings.warn(
         TerrainwaveWarning(f"unfinished work of an earlier run is removed: {why}"), stacklevel=2
     )
@@ -128,18 +113,13 @@ def same_heights(kept: Kept, digest: str) -> None:
 
 
 class KeptUnits:
-    """Subtrees of coded units in a journal.
-
-    Parameters
-    ----------
-    name : str
-        Prefix of the records' names: another method codes other units.
-    """
+    """Subtrees of coded units in a journal, by names that begin with `name`, of what codes them."""
 
     def __init__(self, kept: Kept, grid: Grid, name: str) -> None:
         self._kept, self._name = kept, name
         # The coarsest level whose blocks are no wider; -1 if nothing is kept.
-        levels = (level for level in range(grid.k_max) if _side(grid, level) <= SUBTREE_SIDE)
+        sides = enumerate(grid.block * grid.stride(level) for level in range(grid.k_max))
+        levels = (level for level, side in sides if side <= SUBTREE_SIDE)
         self.level = next(levels, -1) if kept.is_on else -1
 
     def load(self, head: Block) -> Found | None:
@@ -148,12 +128,7 @@ class KeptUnits:
         return None if self._kept.get(name) is None else Found.from_bytes(self._kept.data(name))
 
     def save(self, head: Block, found: Found) -> None:
-        """Store the results of a subtree."""
         self._kept.put(self._name_of(head), {}, found.to_bytes())
 
     def _name_of(self, head: Block) -> str:
         return f"{self._name}/{head.level}/{head.row}/{head.col}"
-
-
-def _side(grid: Grid, level: int) -> int:
-    return grid.block * grid.stride(level)

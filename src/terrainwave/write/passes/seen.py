@@ -24,20 +24,6 @@ class SeenTiles:
     """Contents of a raster's tiles as far as scanned; thread-safe.
 
     A region may be noted more than once.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the raster.
-    dtype : dtype
-        Type of its heights.
-    path : Path, optional
-        A file that outlives this object.
-
-    Attributes
-    ----------
-    was_there : bool
-        Whether the file existed.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: DTypeLike, path: Path | None) -> None:
@@ -55,7 +41,6 @@ class SeenTiles:
         self._lock = threading.Lock()
 
     def note(self, region: Region, heights: NDArray[Any], valid: NDArray[np.bool_]) -> None:
-        """Record the samples of a window."""
         for tiles, part in self._parts(region):
             if (self._tiles[tiles]["state"] != _MIXED).all():
                 there = part.slices_in(region)
@@ -83,11 +68,9 @@ class SeenTiles:
         return Even(value, bool(state == _VALID))
 
     def close(self) -> None:
-        """Free the memory, or close the file."""
         self._tiles = None
 
     def _parts(self, region: Region) -> list[tuple[tuple[slice, slice], Region]]:
-        """Return the tiles that a region touches, and the part of it in each."""
         rows, cols = _tiles_of(region)
         return [
             (

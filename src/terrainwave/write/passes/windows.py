@@ -30,8 +30,7 @@ from terrainwave.write.pyramid import SourceWindows
 
 # Names of records: of the scan, of the array of valid samples, and of the file of even tiles.
 _SCAN, _VALID, _SEEN = "scan", "valid", "seen"
-# Heights, validity, row and column of the first sample.
-Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
+Window = tuple[NDArray[Any], NDArray[np.bool_]]  # heights and validity
 # Sides, in samples, of windows in which even regions are reported whole, and of windows that are
 # searched for them: next to even regions, fills of voids reach about as far.
 _SIDE, _UNEVEN_SIDE = 4096, 1024
@@ -91,8 +90,8 @@ class Windows(SourceWindows):
             return {"n_windows": n_windows, "scan": scan.to_state()}
 
         while some := list(islice(parts, crew.n_threads)):
-            for window in crew.map(self._scanned, some):
-                take(scan, window, self._source.info, reporter)
+            for region, found in crew.map(self._scanned, some):
+                take(scan, region, found, self._source.info, reporter)
                 n_windows += 1
                 kept.tick(_SCAN, record)
         kept.put(_SCAN, record())
@@ -101,11 +100,15 @@ class Windows(SourceWindows):
     def _parts(self, first: int) -> Iterator[tuple[Region, Even | None]]:
         for number, (region, even) in enumerate(self._source.parts()):
             if even is not None:
-                self._keep_even(region, even)
+                self._seen.note_even(region, even)
+                if self._heights is not None:
+                    self._heights.fill(region, even.value)
+                    if self._valid is not None or not even.is_valid:
+                        self._valid_spool().fill(region, even.is_valid)
             if number >= first:
                 yield region, even
 
-    def _scanned(self, part: tuple[Region, Even | None]) -> Window | tuple[Region, Even]:
+    def _scanned(self, part: tuple[Region, Even | None]) -> tuple[Region, Even | Window]:
         region, even = part
         if even is not None:
             return region, even
@@ -118,17 +121,11 @@ class Windows(SourceWindows):
             self._heights.write(region, heights)
             if self._valid is not None or not valid.all():
                 self._valid_spool().write(region, valid)
-        return heights, valid, region.row, region.col
+        return region, (heights, valid)
 
     @contextmanager
     def unchanged(self) -> Iterator[None]:
-        """Say that the raster has changed, if that is why a pass over it failed.
-
-        Raises
-        ------
-        StorageError
-            If a window no longer has the heights that it was scanned with.
-        """
+        """Say that the raster has changed, if that is why a pass over it failed."""
         try:
             yield
         except TerrainwaveError as error:
@@ -140,13 +137,6 @@ class Windows(SourceWindows):
                         f" samples from row {region.row}, column {region.col}",
                     ) from error
             raise
-
-    def _keep_even(self, region: Region, even: Even) -> None:
-        self._seen.note_even(region, even)
-        if self._heights is not None:
-            self._heights.fill(region, even.value)
-            if self._valid is not None or not even.is_valid:
-                self._valid_spool().fill(region, even.is_valid)
 
     def _valid_spool(self) -> Spool:
         with self._lock:
@@ -198,31 +188,24 @@ class Windows(SourceWindows):
 
 
 def new_scan(info: RasterInfo, has_digest: bool, steps: FixedSteps | None = None) -> HeightScan:
-    """Return a scan of no windows yet."""
     return HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
 
 
 def take(
-    scan: HeightScan, window: Window | tuple[Region, Even], info: RasterInfo, reporter: Reporter
+    scan: HeightScan, region: Region, found: Even | Window, info: RasterInfo, reporter: Reporter
 ) -> None:
     """Add a window, or an even region, to a scan of a whole raster, and report it."""
-    if len(window) == 4:
-        scan.update(*window)
-    elif scan.digest is not None and window[1].is_valid:
-        _update_by_windows(scan, *window)
+    if not isinstance(found, Even):
+        scan.update(*found, region.row, region.col)
+    elif scan.digest is not None and found.is_valid:  # of every sample
+        for part in region.tiles(_SIDE, _SIDE):
+            heights = found.heights(part.shape, np.dtype(scan.dtype))
+            scan.update(heights, np.ones(part.shape, dtype=np.bool_), part.row, part.col)
     else:
-        region, even = window
         n_samples = region.n_rows * region.n_cols
-        scan.update_even(even.value, n_samples, is_valid=even.is_valid)
+        scan.update_even(found.value, n_samples, is_valid=found.is_valid)
     n_bytes = scan.n_samples * np.dtype(scan.dtype).itemsize
     reporter.report("scanning", scan.n_samples, info.n_rows * info.n_cols, n_bytes)
-
-
-def _update_by_windows(scan: HeightScan, region: Region, even: Even) -> None:
-    """Pass every sample of an even region to a scan that computes a digest."""
-    for part in region.tiles(_SIDE, _SIDE):
-        heights = even.heights(part.shape, np.dtype(scan.dtype))
-        scan.update(heights, np.full(part.shape, even.is_valid), part.row, part.col)
 
 
 def _checksum(heights: NDArray[Any], valid: NDArray[np.bool_]) -> int:

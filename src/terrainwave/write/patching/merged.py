@@ -21,13 +21,7 @@ _MISALIGNED = 1e-3
 
 
 def check_units(terrain: TerrainFile, source: RasterSource) -> str:
-    """Return a note on units of a raster and of the file that it patches; "" if all is well.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If units differ, or two of heights, depths and radii meet.
-    """
+    """Return a note on units of a raster and of the file that it patches; "" if all is well."""
     info = terrain.raster_info
     found = source.settled(info.crs)
     # Plain arrays do not say that they are depths.
@@ -55,13 +49,7 @@ def original_source(terrain: TerrainFile, original: Any) -> RasterSource:
 
 
 def place_of(info: RasterInfo, new: RasterInfo) -> Region:
-    """Return the samples of a file that a raster covers.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it does not lie on the file's grid, or is of another kind.
-    """
+    """Return the samples of a file that a raster covers."""
     for name in ("dtype", "scale", "offset"):
         expected, found = getattr(info, name), getattr(new, name)
         if found != expected:
@@ -98,11 +86,6 @@ class Merged:
 
     `place` is the region whose originals are known: everything if an original is given. `has_voids`
     is true if samples may be void in it. `notes` state assumptions.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a raster does not fit the file, or the file cannot hold all new heights.
     """
 
     def __init__(
@@ -128,7 +111,6 @@ class Merged:
 
     @property
     def info(self) -> RasterInfo:
-        """Return the metadata of the file's raster."""
         return self._terrain.raster_info
 
     @property
@@ -148,7 +130,6 @@ class Merged:
         return rows[:, None] | cols
 
     def covers(self, region: Region) -> bool:
-        """Return whether the new raster covers a region of the full grid."""
         return region.intersect(self.place) == region
 
     def known(self, region: Region, mask: Mask) -> Mask:
@@ -182,7 +163,6 @@ class Merged:
         return self._source.read(row, col, *region.shape)
 
     def _check(self) -> None:
-        """Raise `InvalidHeightsError` unless the file can hold all new heights."""
         quantizer, header = self._terrain.quantizer, self._terrain.header
         ranges: dict[str, tuple[float, float]] = {}
         for window in self.place.tiles(_WINDOW, _WINDOW):
@@ -211,7 +191,6 @@ class Merged:
                 )
 
     def _range_text(self, low: float, high: float) -> str:
-        """Return two stored heights as a range in physical units, the lower one first."""
         info = self._terrain.raster_info
         ends = sorted(info.scale * end + info.offset for end in (low, high))
         return ",".join(f"{end:.15g}" for end in ends)  # repeating this option makes room for both

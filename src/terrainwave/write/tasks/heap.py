@@ -9,7 +9,7 @@ import ctypes
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import cache
 
 _VARIABLE = "MALLOC_TRIM_THRESHOLD_"
@@ -63,18 +63,13 @@ class _Heap:
         self._library.mallopt(_MMAP_THRESHOLD, mmap)
 
 
-@contextmanager
-def kept_heap() -> Iterator[None]:
+def kept_heap() -> AbstractContextManager[None]:
     """Keep the memory that a task frees; also by several threads at a time.
 
     Without effect unless MALLOC_TRIM_THRESHOLD_ makes glibc return nearly all of it at once.
     """
     heap = _heap()
-    if heap is None:
-        yield
-    else:
-        with heap.kept():
-            yield
+    return nullcontext() if heap is None else heap.kept()
 
 
 @cache

@@ -63,12 +63,7 @@ class _Pass:
 
 
 class Workers:
-    """The workers of a cluster.
-
-    Parameters
-    ----------
-    client : dask.distributed.Client or concurrent.futures.Executor
-    """
+    """The workers of a cluster."""
 
     def __init__(self, client: Any) -> None:
         self._executor = executor_of(client)
@@ -79,20 +74,10 @@ class Workers:
     def run(
         self, stage: str, function: Callable[..., Any], tasks: Mapping[Item, tuple[Any, ...]]
     ) -> Iterator[tuple[Item, Any]]:
-        """Yield (item, result) of each task when it is done.
+        """Yield (item, result) of each task when it is done; `tasks` are arguments by item.
 
-        Parameters
-        ----------
-        stage : str
-            Name of the pass, for messages.
-        tasks : mapping
-            Arguments by item.
-
-        Raises
-        ------
-        TerrainwaveError
-            The error of a task on every worker that tried it, or `ClusterError` if workers were
-            lost with it too often. Tasks that have not begun are cancelled.
+        Raise the error of a task on every worker that tried it, or `ClusterError` if workers were
+        lost with it too often. Tasks that have not begun are then cancelled.
         """
         work = _Pass(function, tasks)
         try:
@@ -188,14 +173,10 @@ class Workers:
                 self._submit(work, item)
 
 
-def _is_lost(future: "Future[TaskOutcome]") -> bool:
-    return future.cancelled() or type(future.exception()).__name__ in _LOST
-
-
 def _outcome(future: "Future[TaskOutcome]") -> TaskOutcome:
-    if not _is_lost(future):
-        return future.result()
     error = None if future.cancelled() else future.exception()
+    if not future.cancelled() and type(error).__name__ not in _LOST:
+        return future.result()
     last = getattr(getattr(error, "last_worker", None), "address", None)
     where = "" if last is None else f" on worker {last} and others before it"
     raise ClusterError(
@@ -217,7 +198,6 @@ def _message(error: TerrainwaveError) -> str:
 
 
 def _given_up(stage: str, outcome: TaskOutcome, n_others: int) -> TerrainwaveError:
-    """Return the error of a task that workers have failed with."""
     assert outcome.error is not None
     also = f" and by {count_of(n_others, 'other worker')} before," if n_others else ""
     text = f"{_message(outcome.error)}; found by {_named(outcome.place)}{also} while {stage}"
