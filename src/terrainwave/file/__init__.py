@@ -31,8 +31,8 @@ from terrainwave.read.resample import RESAMPLING, resample
 if TYPE_CHECKING:
     from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
-    from terrainwave.read.levels import LevelReader
-    from terrainwave.read.native import Library, NativeFile
+    from terrainwave.read.native import Library
+    from terrainwave.read.window_reader import WindowReader
 
 DEFAULT_MAX_BYTES = 4 << 30
 # Heights in the dtype of the raster.
@@ -82,8 +82,8 @@ class TerrainFile(DescribedFile):
 
     def close(self) -> None:
         """Close the file and stop the threads."""
-        if "_levels" in self.__dict__:
-            self._levels.close()
+        if "_windows" in self.__dict__:
+            self._windows.close()
         super().close()
 
     @cached_property
@@ -95,15 +95,17 @@ class TerrainFile(DescribedFile):
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
-    def _levels(self) -> "LevelReader":
-        from terrainwave.read.levels import LevelReader
+    def _windows(self) -> "WindowReader":
+        from terrainwave.read.native import NativeFile
+        from terrainwave.read.window_reader import WindowReader
 
-        return LevelReader(
-            str(self.name),
-            self.header,
-            self.n_threads,
-            lambda: self.decoder,
-            self._native(),
+        library, native = self._library(), None
+        if library is not None:
+            native = NativeFile(
+                library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
+            )
+        return WindowReader(
+            str(self.name), self.header, self.n_threads, lambda: self.decoder, native
         )
 
     @property
@@ -122,17 +124,6 @@ class TerrainFile(DescribedFile):
 
         is_fit = self._may_be_native and not self.container.n_missing
         return native.installed() if is_fit and native.is_wanted() else None
-
-    def _native(self) -> "NativeFile | None":
-        """Return the reader with the native library; None if that is not used."""
-        from terrainwave.read import native
-
-        library = self._library()
-        if library is None:
-            return None
-        return native.NativeFile(
-            library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
-        )
 
     def info(self) -> Info:
         """Return a summary of the file, only from its header."""
@@ -220,10 +211,10 @@ class TerrainFile(DescribedFile):
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
             value = None if masked else self._raster.void_value
-            heights, void = self._levels.read(index, region, on_error, voids, void_value=value)
+            heights, void = self._windows.read(index, region, on_error, voids, void_value=value)
         else:
             heights, void = resample(
-                lambda shift, part: self._levels.read(index - shift, part, on_error, voids),
+                lambda shift, part: self._windows.read(index - shift, part, on_error, voids),
                 region,
                 out_shape,
                 resampling,
@@ -254,7 +245,7 @@ class TerrainFile(DescribedFile):
         on_error = self._settled(on_error)
         check_choice("voids", voids, VOIDS)
         asked = self.checked_window(window, level=level)
-        return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
+        return self._filled(*self._windows.read(asked.level, asked.region, on_error, voids))
 
     def _settled(self, on_error: str | None) -> str:
         """Return how to handle damage: as the read requests, else as the file was opened."""
@@ -270,7 +261,7 @@ class TerrainFile(DescribedFile):
         Each is ``(level, window, problem)``, with the window in samples of the level:
         ``(first_row, first_col, n_rows, n_cols)``.
         """
-        return self._levels.lost
+        return self._windows.lost
 
     def _filled(
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
@@ -320,7 +311,7 @@ class TerrainFile(DescribedFile):
         decoder, payloads = early_decoder(
             self.container, asked.level, asked.region, quality, cache_bytes=self._cache_bytes
         )
-        found = self._levels.read(asked.level, asked.region, on_error, voids, decoder)
+        found = self._windows.read(asked.level, asked.region, on_error, voids, decoder)
         return EarlyHeights(*self._filled(*found), payloads.n_bytes)
 
     def sample(
@@ -410,7 +401,7 @@ class TerrainFile(DescribedFile):
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
         heights = np.full(len(rows), np.nan)
         if inside.any():
-            raw, is_void = self._levels.bilinear(level, rows[inside], cols[inside], voids)
+            raw, is_void = self._windows.bilinear(level, rows[inside], cols[inside], voids)
             physical = raw * self._raster.scale + self._raster.offset
             heights[inside] = np.where(is_void, np.nan, physical)
         return heights

@@ -298,7 +298,7 @@ class NativeFile:
                     if part in known or not known:
                         self._library.call(feed, one, part.offset, rounds.take(part), part.length)
 
-    def read(
+    def window(
         self, level: int, region: Region, *, is_own: bool
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         """Return raw heights of a region of a level and what is void, as `WindowReader.read`."""
@@ -332,7 +332,7 @@ class NativeFile:
         *,
         is_own: bool,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return bilinear raw heights at positions inside a level, and which are valid."""
+        """Return bilinear raw heights at positions inside a level, and which involve a void."""
         places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)
         found = np.empty(rows.size), np.empty(rows.size, dtype=np.bool_)
         arrays = (array.ctypes.data for array in (*places, *found))
@@ -350,7 +350,7 @@ class NativeFile:
                         )
             finally:
                 self._library.free_points(points)
-        return found
+        return found[0], ~found[1]
 
     def _side(self, level: int) -> int:
         """Return the samples on a side of a unit."""

@@ -29,7 +29,7 @@ from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.sections import make_sections
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, groups_by
+from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
@@ -313,8 +313,7 @@ class DistributedPasses:
         job, grid = site.job, site.grid
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
         with site.segments(CODED, ABOVE) as stored:
-            source = groups_by(refiner, stored.payloads)
-            decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
+            decoder = TreeDecoder(grid, job.parameters, refiner, stored.payloads, _CACHE_BYTES)
             mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
             sections = make_sections(
                 grid, mesher, self.bench.executor, lambda _: None, range(site.level + 1)

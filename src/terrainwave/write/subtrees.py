@@ -33,7 +33,7 @@ from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_par
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, groups_by
+from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes, recursive_errors
 from terrainwave.write.encoder import TreeEncoder
@@ -229,8 +229,7 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         _built_pyramid(site, head) as (pyramid, bench),
         site.segments(CODED, ABOVE) as above,
     ):
-        source = groups_by(refiner, above.payloads)
-        decoder = TreeDecoder(grid, job.parameters, source, _CACHE_BYTES)
+        decoder = TreeDecoder(grid, job.parameters, refiner, above.payloads, _CACHE_BYTES)
         sink = SpoolSink(grid, bench.directory)
         encoder = TreeEncoder(
             grid, refiner, job.parameters, pyramid, sink, lambda _: None, may_repeat=job.may_repeat
@@ -284,8 +283,9 @@ def _stored_mesher(
 ) -> Iterator[tuple[BlockMesher, StoredSegments]]:
     """Yield a mesher over the coded segments."""
     with site.segments(CODED, TOP) as stored:
-        source = groups_by(site.refiner(), stored.payloads)
-        decoder = TreeDecoder(site.grid, site.job.parameters, source, _CACHE_BYTES)
+        decoder = TreeDecoder(
+            site.grid, site.job.parameters, site.refiner(), stored.payloads, _CACHE_BYTES
+        )
         parts = None if part is None else part(stored)
         yield mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts), stored
 

@@ -7,7 +7,7 @@ that is not good enough; the parent is drawn until they are loaded.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.read.tile_decoder import Tiles, with_coefficients
+from terrainwave.read.tile_decoder import TiledDecoder, with_coefficients
 from terrainwave.render.modes.front import ALL_OPEN, Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
@@ -25,7 +25,7 @@ class RqtMode(FrontMode):
 
     def __init__(self, needs: ModeNeeds) -> None:
         super().__init__(needs)
-        self._tiles: Tiles | None = None
+        self._tiles: TiledDecoder | None = None
         if self.error == "coefficient":
             self._tiles = with_coefficients(self.terrain.decoder)
 
