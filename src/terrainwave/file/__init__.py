@@ -195,7 +195,7 @@ class TerrainFile(DescribedFile):
         CorruptStreamError
             If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
-        on_error = self._settled(on_error)
+        on_error = self._checked_reading(on_error, voids)
         check_choice("resampling", resampling, RESAMPLING)
         check_flags(masked=masked)
         max_bytes = checked_whole("max_bytes", max_bytes, least=0)
@@ -205,7 +205,6 @@ class TerrainFile(DescribedFile):
                 raise InvalidArgumentError(
                     f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
                 )
-        check_choice("voids", voids, VOIDS)
         asked = self.checked_window(window, bounds=bounds, level=level)
         index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
@@ -242,13 +241,13 @@ class TerrainFile(DescribedFile):
 
         For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
-        on_error = self._settled(on_error)
-        check_choice("voids", voids, VOIDS)
+        on_error = self._checked_reading(on_error, voids)
         asked = self.checked_window(window, level=level)
         return self._filled(*self._windows.read(asked.level, asked.region, on_error, voids))
 
-    def _settled(self, on_error: str | None) -> str:
+    def _checked_reading(self, on_error: str | None, voids: str) -> str:
         """Return how to handle damage: as the read requests, else as the file was opened."""
+        check_choice("voids", voids, VOIDS)
         if on_error is None:
             return self.on_error
         check_choice("on_error", on_error, ON_ERROR)
@@ -267,9 +266,10 @@ class TerrainFile(DescribedFile):
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights with the void value in voids, and validity."""
-        if void is not None:
-            heights[void] = self._raster.void_value
-        return _with_valid(heights, void)
+        if void is None:
+            return heights, np.ones(heights.shape, dtype=np.bool_)
+        heights[void] = self._raster.void_value
+        return heights, ~void
 
     def read_early(
         self,
@@ -296,8 +296,7 @@ class TerrainFile(DescribedFile):
             If the file is not of method cdf53, the only one whose streams can be read in part, or
             if `quality` is out of range.
         """
-        on_error = self._settled(on_error)
-        check_choice("voids", voids, VOIDS)
+        on_error = self._checked_reading(on_error, voids)
         quality = checked_number("quality", quality, above=0)
         asked, method = self.checked_window(window, level=level), self.header.method
         if not METHODS[method].is_cuttable:
@@ -466,10 +465,3 @@ class TerrainFile(DescribedFile):
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
-
-
-def _with_valid(
-    heights: NDArray[Any], void: NDArray[np.bool_] | None
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return heights and validity, from heights and voids."""
-    return heights, np.ones(heights.shape, dtype=np.bool_) if void is None else ~void
