@@ -43,11 +43,6 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     ----------
     tasks : sequence of str
         Of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
-
-    Raises
-    ------
-    StorageError
-        If some kernels cannot be cached; detected before the compilation if possible.
     """
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
@@ -87,13 +82,7 @@ def _without_library() -> Iterator[None]:
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
-    """Compile kernels into a folder, in a process that uses no others; return their number there.
-
-    Raises
-    ------
-    StorageError
-        If the folder cannot be written, or some kernels are not cached.
-    """
+    """Compile kernels into a folder, in a process that uses no others; return their number."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may have some already

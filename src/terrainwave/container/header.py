@@ -259,13 +259,7 @@ class Extents:
 
 
 def pack_header(header: Header, extents: Extents) -> bytes:
-    """Return the 128 bytes of the header (FORMAT.md §4.1).
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a field is outside the limits of the format.
-    """
+    """Return the 128 bytes of the header (FORMAT.md §4.1)."""
     if header.block.bit_count() != 1 or header.block < 1:
         raise InvalidHeightsError(f"block is {header.block}, not a power of two")
     if header.method not in METHODS:
@@ -317,15 +311,6 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     """Read and check the header at the start of `data` (FORMAT.md §4.1).
 
     `metadata` and `file_tables` of the result are empty: they lie outside these bytes.
-
-    Raises
-    ------
-    TruncatedStreamError
-        If `data` is shorter than the header.
-    CorruptStreamError
-        If the magic, the checksum or a field contradicts the format.
-    UnsupportedVersionError
-        If a version, feature, method, data type or reserved field is unknown.
     """
     if not data:
         raise TruncatedStreamError("found an empty file, expected a .twz file")
@@ -401,13 +386,7 @@ def _check_version(data: bytes, stored: int) -> None:
 
 
 def check_optional_sections(data: bytes) -> None:
-    """Check the sections at the end of a header, whose contents no reader needs (FORMAT.md §4.8).
-
-    Raises
-    ------
-    CorruptStreamError
-        If they do not fill `data`, a name is repeated, or a checksum does not match.
-    """
+    """Check the sections at the end of a header; no reader needs them (FORMAT.md §4.8)."""
     names, at = set[bytes](), 0
     while at < len(data):
         start = at + _SECTION.size

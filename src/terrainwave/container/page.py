@@ -184,13 +184,7 @@ def pack_page(columns: bytes, first_child: int) -> bytes:
 
 
 def with_first_child(data: bytes, first_child: int) -> bytes:
-    """Return the bytes of a page with another `first_child`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the page is damaged.
-    """
+    """Return the bytes of a page with another `first_child`."""
     if len(data) < _MIN_PAGE or _PREFIX.unpack_from(data)[0] != zlib.crc32(data[4:]):
         raise CorruptStreamError("checksum of a stored page does not match")
     return pack_page(data[_PREFIX.size :], first_child)
@@ -200,11 +194,6 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
 
     Checks only the page itself, not the positions of its segments in the file.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the checksum, the number of bytes or a field contradicts the format.
     """
     if len(data) < _MIN_PAGE:
         raise CorruptStreamError(f"{name} has only {len(data)} bytes")

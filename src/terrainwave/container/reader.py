@@ -232,10 +232,7 @@ class Container:
     def payload(self, key: Block) -> bytes:
         """Return the payload of `key`.
 
-        Raises
-        ------
-        CorruptStreamError
-            If its checksum or an index page on the way to it is wrong.
+        Raises `CorruptStreamError` if its checksum or an index page on the way to it is wrong.
         """
         return self.payloads([key])[0]
 
@@ -357,13 +354,7 @@ class Container:
     # Digests
 
     def digests_place(self) -> ByteRange:
-        """Return the position of the digests at the file's end; of length 0 if it has none.
-
-        Raises
-        ------
-        CorruptStreamError
-            If they would overlap the segments.
-        """
+        """Return the position of the digests at the file's end; of length 0 if it has none."""
         size = self.extents.file_size
         if not self.header.has_digests:
             return ByteRange(size, 0)
@@ -375,10 +366,7 @@ class Container:
     def digests(self) -> DigestTree | None:
         """Return the digests of the file's heights; None if it has none.
 
-        Raises
-        ------
-        CorruptStreamError
-            If they are damaged.
+        Raises `CorruptStreamError` if they are damaged.
         """
         if not self.header.has_digests:
             return None

@@ -267,13 +267,7 @@ def is_tile_url(path: str) -> bool:
 
 
 def check_photo(path: str, *, crs: str | None, footprint: Footprint) -> None:
-    """Raise the errors of `texture_of` for this photo of a terrain now, without warping it.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        As `Photo`.
-    """
+    """Raise the errors of `texture_of` for this photo of a terrain now, without warping it."""
     Photo(path, crs=crs, affine=footprint.affine, shape=footprint.shape, plain_on=footprint).close()
 
 
@@ -306,11 +300,6 @@ def texture_of(
         A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG.
     kind : str
         ``image/png`` or ``image/jpeg``.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        As `Photo`, and if no part of it is over the area.
     """
     left, bottom, right, top = area
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)

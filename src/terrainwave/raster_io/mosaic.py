@@ -320,10 +320,7 @@ class MosaicBackend:
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights and validity; voids hold the nodata value, NaN or 0.
 
-        Raises
-        ------
-        InvalidHeightsError
-            If a valid height equals the nodata value.
+        Raises `InvalidHeightsError` if a valid height equals the nodata value.
         """
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)

@@ -172,11 +172,6 @@ class RasterInfo:
 
         The values may come from an untrusted file. A CRS that PROJ cannot parse is kept as a
         string: it must not prevent reading the heights, and `rasterio_crs` warns about it.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a required key is missing, or a value has the wrong type or range.
         """
         try:
             return cls._from_plain(fields)

@@ -243,17 +243,13 @@ class RasterSource:
         """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
 
         Reads the raster again if only a name suggests depths and some values are below 0, and the
-        rasters of a mosaic if some may have radii and others not.
+        rasters of a mosaic if some may have radii and others not. Raises `InvalidHeightsError` if
+        only some rasters of a mosaic have radii.
 
         Parameters
         ----------
         minimum, maximum : float
             Extremes of all valid heights, as stored.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If only some rasters of a mosaic have radii.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
@@ -276,17 +272,13 @@ class RasterSource:
     def settled(self, crs_text: str | None) -> Told | None:
         """Return the meaning of the numbers, told or else by their values; None without any.
 
-        Reads on while all values may be radii.
+        Reads on while all values may be radii. Raises `InvalidHeightsError` if only some rasters of
+        a mosaic have radii.
 
         Parameters
         ----------
         crs_text : str, optional
             The CRS of a raster that has none.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If only some rasters of a mosaic have radii.
         """
         crs_text = self.info.crs or crs_text
         if not self.is_asked:
@@ -351,19 +343,15 @@ class RasterSource:
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
 
+        Raises `InvalidHeightsError` if a valid sample is infinite. Raises `StorageError` if the
+        source cannot be read there.
+
         Returns
         -------
         heights : ndarray of the source's dtype, shape (n_rows, n_cols)
             A writable copy; void samples hold the source's values.
         valid : ndarray of bool, shape (n_rows, n_cols)
             False where the sample is void.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If a valid sample is infinite.
-        StorageError
-            If the source cannot be read there.
         """
         info = self.info
         if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
@@ -527,13 +515,7 @@ class _Opening:
     heights_are: str | None
 
     def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
-        """Open the source.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If its type is not supported.
-        """
+        """Open the source."""
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
                 if not self.georeference:

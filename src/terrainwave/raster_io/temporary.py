@@ -98,10 +98,7 @@ class Spool:
     def read(self, region: Region) -> NDArray[Any]:
         """Return a copy of the samples of `region`.
 
-        Raises
-        ------
-        ValueError
-            If `region` does not lie inside the array.
+        Raises `ValueError` if `region` does not lie inside the array.
         """
         if self._memory is not None:
             return self.view(region).copy()
@@ -119,10 +116,7 @@ class Spool:
     def view(self, region: Region) -> NDArray[Any]:
         """Return the samples of `region`, read-only; not copied if they are in memory.
 
-        Raises
-        ------
-        ValueError
-            If `region` does not lie inside the array.
+        Raises `ValueError` if `region` does not lie inside the array.
         """
         if self._memory is None:
             return self.read(region)

@@ -163,10 +163,8 @@ class TreeDecoder:
     def unit(self, key: Block, rows: RowsOf = WHOLE) -> Decoded:
         """Return the decoded unit `key`, or some rows of it; what is above is decoded as needed.
 
-        Raises
-        ------
-        CorruptStreamError
-            If its payload or one above it is damaged; the message names the unit.
+        Raises `CorruptStreamError` if its payload or one above it is damaged; the message names the
+        unit.
         """
         own = rows.get(key, ALL_ROWS)
         found = self._cache.get(key)

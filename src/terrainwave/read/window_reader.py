@@ -276,13 +276,7 @@ class WindowReader:
 
 
 def exact_heights(quantizer: Quantizer, unit: Decoded) -> NDArray[Any]:
-    """Return the raw heights of a unit that has remainders (FORMAT.md §5.3).
-
-    Raises
-    ------
-    CorruptStreamError
-        If one of its valid samples is not finite.
-    """
+    """Return the raw heights of a unit that has remainders (FORMAT.md §5.3)."""
     assert unit.remainders is not None
     heights = restored(quantizer.dequantize(unit.heights), unit.remainders)
     if not np.isfinite(heights[unit.mask]).all():

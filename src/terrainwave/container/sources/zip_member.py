@@ -63,10 +63,7 @@ class MemberSource(MergingSource):
 def open_member(path: str, source: ByteSource) -> ByteSource:
     """Return the source of the file `path` in a zip; closes the zip's source on failure.
 
-    Raises
-    ------
-    StorageError
-        If the archive or the file in it cannot be read.
+    Raises `StorageError` if the archive or the file in it cannot be read.
     """
     try:
         return _member(path.lstrip("/"), source)

@@ -233,15 +233,7 @@ class RasterSink:
         yield from scan_windows(info.n_rows, info.n_cols, TILE, TILE, max_samples)
 
     def write(self, row: int, col: int, heights: np.ndarray, valid: np.ndarray) -> None:
-        """Write the window at (row, col); void samples get nodata, `heights` is not changed.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a sample is void although the raster has no way to mark voids.
-        StorageError
-            If the disk is full or fails.
-        """
+        """Write the window at (row, col); void samples get nodata, `heights` is not changed."""
         info = self.info
         if not valid.all():
             if info.mask_kind == "none":
