@@ -411,13 +411,7 @@ class _Violation:
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield violations of the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
-    yield from _violations_of_grid(header)
-    yield from _violations_of_features(header)
-    yield from _violations_of_sizes(header, extents)
-
-
-def _violations_of_grid(header: Header) -> Iterator[_Violation]:
-    """Yield violations in samples, method, quantum and bounds; unknown features."""
+    method = METHODS[header.method]
     unknown = header.features & ~KNOWN_FEATURES
     if unknown:
         yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
@@ -449,11 +443,7 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
-
-
-def _violations_of_features(header: Header) -> Iterator[_Violation]:
-    """Yield features that conflict with each other or with the method."""
-    method = METHODS[header.method]
+    # Features that conflict with each other or with the method.
     for is_used, is_known, what in (
         (
             header.border_rings != 1,
@@ -478,10 +468,6 @@ def _violations_of_features(header: Header) -> Iterator[_Violation]:
             yield _Violation("remainders beside a step or a bound that is not 0")
     elif header.rho > header.max_error:
         yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
-
-
-def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
-    """Yield violations in the tolerance of meshes and the sizes of sections."""
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:

@@ -9,10 +9,9 @@ import numpy as np
 from terrainwave.arguments import NodataChoice, is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import MARKS, Names, Told, told_by
 from terrainwave.place.units import is_length
-from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.packing import packing_of
 from terrainwave.raster_io.labelled.voids import voids_of
@@ -20,15 +19,12 @@ from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undecla
 from terrainwave.raster_io.vrt.warped import remark_on_named
 
 
-class ArrayBackend:
+class ArrayBackend(RasterBackend):
     """A 2-D array in memory, or anything sliced like one."""
 
     is_file = False
-    earlier: EarlierLoss | None = None
-    # Plain numbers carry no metadata, and fit any file.
     told: Told | None = None
     name = "the array"
-    undeclared: tuple[int | float, ...] = ()
 
     def __init__(
         self,
@@ -54,14 +50,8 @@ class ArrayBackend:
         self.has_mask = np.ma.getmask(array) is not np.ma.nomask and self.dtype.kind != "f"
         self._tags = tags or {}
 
-    def notes(self) -> Iterator[str]:
-        return iter(())
-
     def tags(self) -> dict[str, Any]:
         return self._tags
-
-    def even(self, region: Region) -> None:
-        """Return None: an array has no index."""
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         part = self._array[row : row + n_rows, col : col + n_cols]
@@ -69,9 +59,6 @@ class ArrayBackend:
             part = part.values
         heights = np.array(np.ma.getdata(part), dtype=self.dtype, order="C", subok=False)
         return heights, ~np.ma.getmaskarray(part)
-
-    def close(self) -> None:
-        """Do nothing: the array belongs to the caller."""
 
 
 class LabelledBackend(ArrayBackend):

@@ -32,7 +32,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.place.meaning import Names, Told, told_by
 from terrainwave.place.units import is_length
-from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.raster_info import undeclared_by
@@ -195,11 +195,10 @@ def told_of(dataset: Any, band: int) -> Told:
     return told_by(marks, names, format_crs(dataset.crs))
 
 
-class DatasetBackend:
+class DatasetBackend(RasterBackend):
     """A band of a rasterio dataset."""
 
-    is_file = True
-    earlier: EarlierLoss | None = None
+    told: Told
 
     def __init__(
         self,
@@ -253,9 +252,6 @@ class DatasetBackend:
         self._tags = select_tags(dataset.tags())
         self._band_tags = select_tags(dataset.tags(band))
         self.told = told_of(dataset, band)
-
-    def notes(self) -> Iterator[str]:
-        return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
         dataset, band = self._dataset, self._band

@@ -148,7 +148,7 @@ class _Member(NamedTuple):
     voids: tuple[int | float, ...]
 
 
-class MosaicBackend:
+class MosaicBackend(RasterBackend):
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
     Rows and columns are ordered as in the first raster; rasters in another order (south first,
@@ -179,8 +179,6 @@ class MosaicBackend:
     The mosaic's nodata value is the first one declared. A valid height of another raster with that
     value is refused when it is read. Without any nodata value, whole numbers get a mask.
     """
-
-    is_file = True
 
     def __init__(
         self,
@@ -309,7 +307,7 @@ class MosaicBackend:
         moved = np.where(west, turn.length / abs((a, e)[turn.axis]), 0.0)
         return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
-    def asides(self) -> Iterator[str]:
+    def named_asides(self) -> Iterator[str]:
         yield from self._asides
 
     def tags(self) -> dict[str, Any]:

@@ -114,7 +114,7 @@ class RasterSource:
         Name of the source in messages.
     notes : tuple of str
         Notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`, except
-        those of `_asides`.
+        its asides.
     n_bytes_read : int
         Bytes of heights read so far.
     told : Told or None
@@ -171,7 +171,7 @@ class RasterSource:
         except BaseException:
             self.close()
             raise
-        self.notes = (*notes, *self._asides())
+        self.notes = (*notes, *self._backend.named_asides())
         for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
@@ -311,14 +311,6 @@ class RasterSource:
             n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
         return 2 * n_below > n_valid
 
-    def _asides(self) -> Iterator[str]:
-        """Yield notes that need no warning."""
-        backend = self._backend
-        if isinstance(backend, DatasetBackend):
-            yield from (f"{self.name}: {aside}" for aside in backend.asides())
-        elif isinstance(backend, MosaicBackend):
-            yield from backend.asides()
-
     @property
     def earlier(self) -> EarlierLoss | None:
         """Return the earlier loss of heights from .twz files, the largest of several; else None."""
@@ -327,7 +319,7 @@ class RasterSource:
     @property
     def came_from(self) -> str | None:
         """Return the .twz file that an array names as its source, if any."""
-        return self._backend.came_from if isinstance(self._backend, LabelledBackend) else None
+        return self._backend.came_from
 
     @property
     def is_file(self) -> bool:
@@ -514,7 +506,7 @@ class _Opening:
     open_terrain: OpenTerrain | None
     heights_are: str | None
 
-    def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
+    def backend(self, source: Any) -> RasterBackend:
         """Open the source."""
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
