@@ -86,7 +86,8 @@ class LabelledBackend(ArrayBackend):
             "description": description,
             "band_tags": tuple((name, str(attrs[name])) for name in MARKS if name in attrs),
         }
-        names = Names(_text(variable.name), description, is_length(units))
+        name = None if variable.name is None else str(variable.name)
+        names = Names(name, description, is_length(units))
         self.told = told_by(attrs, names, layer.crs)
         chunks = getattr(layer.array, "chunks", None)
         super().__init__(
@@ -96,7 +97,8 @@ class LabelledBackend(ArrayBackend):
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
         self._notes = [*layer.notes, *packing.notes]
-        if not _is_loaded(variable):
+        # Values that are not in memory are read when they are computed.
+        if not getattr(getattr(variable, "variable", None), "_in_memory", True):
             windows = remark_on_named(variable.encoding.get("source"))
             self._notes += [] if windows is None else [windows]
         self._others: list[Any] = []
@@ -147,15 +149,6 @@ class LabelledBackend(ArrayBackend):
             )  # not as float32, which may be too narrow
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
-
-
-def _text(name: Any) -> str | None:
-    return None if name is None else str(name)
-
-
-def _is_loaded(array: Any) -> bool:
-    """Return True if the values of a DataArray are in memory, not read lazily."""
-    return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
 def _came_from(array: Any) -> str | None:

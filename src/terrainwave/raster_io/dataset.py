@@ -55,18 +55,29 @@ _FILTERING = threading.Lock()
 
 
 def open_dataset(path: str) -> Any:
-    """Open `path` with rasterio; turn each failure into one line with advice."""
-    local = Path(path)
-    is_local = "://" not in path and not path.startswith("/vsi")
-    if is_local and is_twz(local):
+    """Open `path` as `opened` does; refuse .twz files and those without a raster."""
+    if "://" not in path and not path.startswith("/vsi") and is_twz(path):
         raise InvalidHeightsError(
             f"{path} is already a terrainwave file; expected a raster such as a GeoTIFF"
             " (terrainwave decompress makes one of it)"
         )
+    dataset = opened(path)
+    if dataset.count == 0:
+        parts = ", ".join(dataset.subdatasets[:4])
+        dataset.close()
+        advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
+        raise InvalidHeightsError(f"{display_name(path)} has no raster band{advice}")
+    return dataset
+
+
+def opened(path: str) -> Any:
+    """Open `path` with rasterio; turn each failure into one line with advice."""
+    local = Path(path)
+    is_local = "://" not in path and not path.startswith("/vsi")
     try:
         with _FILTERING, bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
+            return rasterio.open(path)
     except UnicodeEncodeError as error:  # bytes of a name that are not text
         raise StorageError(
             f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
@@ -82,12 +93,6 @@ def open_dataset(path: str) -> Any:
         raise StorageError(
             f"{display_name(path)} is not a raster that GDAL can read: {problem}"
         ) from error
-    if dataset.count == 0:
-        parts = ", ".join(dataset.subdatasets[:4])
-        dataset.close()
-        advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
-        raise InvalidHeightsError(f"{display_name(path)} has no raster band{advice}")
-    return dataset
 
 
 def refuse_raster(target: str | os.PathLike[str]) -> None:

@@ -320,7 +320,11 @@ def texture_of(
         )
     pixels = _opaque(pixels, color)
     try:
-        return _encoded(pixels)
+        lossy = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
+        if not _has_few_colors(pixels):
+            return lossy
+        exact = _as_file(pixels, driver="PNG"), "image/png"
+        return min(exact, lossy, key=lambda one: len(one[0]))
     except GDAL_ERRORS as error:
         raise StorageError(f"cannot write {path} as a texture: {one_line(error)}") from error
 
@@ -336,15 +340,6 @@ def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[n
             part[..., :3] * alpha + ground * (255 - alpha) + 127
         ) // 255
     return made
-
-
-def _encoded(pixels: NDArray[np.uint8]) -> tuple[bytes, str]:
-    """Return an RGB picture in the more suitable file format, and its media type."""
-    photo = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
-    if not _has_few_colors(pixels):
-        return photo
-    drawn = _as_file(pixels, driver="PNG"), "image/png"
-    return min(drawn, photo, key=lambda one: len(one[0]))
 
 
 def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:

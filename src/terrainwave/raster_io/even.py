@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.gdal import GDAL_ERRORS
+from terrainwave.raster_io.vrt import path_of, rectangles_of, text_of
 
 # Blocks of a GeoTIFF of which is kept whether they have bytes: one byte each.
 _MOST_BLOCKS = 1 << 25
@@ -265,7 +266,7 @@ class VrtSources:
 
 def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
     """Return the sources of a band of a VRT; None if they may not be all that makes it."""
-    root = ET.fromstring("".join(dataset.tags(ns="xml:VRT").values()))
+    root = ET.fromstring(text_of(dataset))
     own = root.findall("VRTRasterBand")[band - 1 : band]
     sources = [one for each in own for one in each if one.tag.endswith("Source")]
     kinds = {root.get("subClass"), *(one.get("subClass") for one in own)}
@@ -279,11 +280,7 @@ def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
 
 def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
     """Return a source of a VRT that GDAL has written: all numbers are there, or no rectangle."""
-    rectangles = [
-        [float(rectangle.get(name, "nan")) for name in ("yOff", "xOff", "ySize", "xSize")]
-        for rectangle in map(element.find, ("SrcRect", "DstRect"))
-        if rectangle is not None
-    ]
+    rectangles = rectangles_of(element, math.nan)
     if len(rectangles) < 2 or min(rectangles[1][2:]) < 0:
         return _Source(whole)
     if all(number.is_integer() for rectangle in rectangles for number in rectangle):
@@ -292,8 +289,7 @@ def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
         is_copy = source.shape == place.shape and place.intersect(whole) == place
         is_copy &= not {child.tag for child in element} - _COPIES and band.isdecimal()
         if is_copy and name is not None and min(source) >= 0:
-            is_relative = name.get("relativeToVRT") == "1"
-            path = os.path.join(folder if is_relative else "", name.text or "")
+            path = path_of(name, folder)
             nodata = element.findtext("NODATA")
             if os.path.isfile(path):
                 copies = path, int(band), source

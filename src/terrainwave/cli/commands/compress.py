@@ -1,7 +1,7 @@
 """Command compress: rasters to .twz files."""
 
 import threading
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -124,6 +124,7 @@ def _compress(
 ) -> None:
     """Make one file of one raster, or of a mosaic."""
     import terrainwave
+    from terrainwave.ext.distributed import connected
 
     if not options["georeference"] and len(sources) > 1:
         raise click.UsageError(
@@ -135,7 +136,7 @@ def _compress(
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
-        _cluster(scheduler) as client,
+        connected(scheduler) if scheduler is not None else nullcontext() as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,
     ):
@@ -229,15 +230,6 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
             " own, add --to DIR"
         ) from error
     return [Input().convert(path, None, ctx) for path in paths[:-1]], target
-
-
-def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
-    """Return a client of a dask scheduler as a context; None without an address."""
-    if scheduler is None:
-        return nullcontext()
-    from terrainwave.ext.distributed import connected
-
-    return connected(scheduler)
 
 
 def _result_line(result: Any) -> str:

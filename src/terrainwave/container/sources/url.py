@@ -294,7 +294,7 @@ class HttpSource(MergingSource):
         elif reply.proxy:
             problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"
         elif reply.status == 401 and not is_signed(reply.url):
-            problem = _WRONG_LOGIN if self._logs_in(reply.url) else _NO_LOGIN
+            problem = _WRONG_LOGIN if self._login(urlsplit(reply.url)) else _NO_LOGIN
             problem = problem.format(reply.reason)
         elif reply.status in _MAY_EXPIRE and has_expired(reply.url, reply.body.decode("latin-1")):
             problem = f"the URL has expired ({reply.reason}); get a new one and open it again"
@@ -304,9 +304,6 @@ class HttpSource(MergingSource):
             problem += f"; the server asks to wait {math.ceil(reply.seconds_to_wait)} s"
         kind = SourceUnavailableError if reply.status in _BUSY else StorageError
         return kind(f"cannot read {self.name}: {problem}")
-
-    def _logs_in(self, url: str) -> bool:
-        return "Authorization" in self._headers(urlsplit(url), None)
 
     def _ask(self, wanted: ByteRange | None) -> _Reply:
         """Return the first reply that is neither a redirect nor from a busy server."""
@@ -389,14 +386,15 @@ class HttpSource(MergingSource):
         etag = self._version.etag or ""
         if etag.startswith('"') and self._obeys_if_match:  # a strong ETag: weak ones never match
             headers["If-Match"] = etag
-        if login := basic_login(url) or (self._is_named_server(url) and basic_login(self._named)):
+        if login := self._login(url):
             headers["Authorization"] = login
         return headers
 
-    def _is_named_server(self, url: SplitResult) -> bool:
-        """Return whether a login for the opened URL may be sent to a redirect's URL."""
+    def _login(self, url: SplitResult) -> str | None:
+        """Return the login for a URL: its own, or that of the opened URL for the same server."""
         named, other = origin(self._named), origin(url)
-        return named == other or (named[1] == other[1] and (named[2], other[2]) == (80, 443))
+        is_same = named == other or (named[1] == other[1] and (named[2], other[2]) == (80, 443))
+        return basic_login(url) or (basic_login(self._named) if is_same else None)
 
     def close(self) -> None:
         """Close all connections; waiting threads get an error."""

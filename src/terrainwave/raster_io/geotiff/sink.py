@@ -272,7 +272,10 @@ class RasterSink:
                     self._translate_to_cog()
                     self._check_complete(self._target)
             except GDAL_ERRORS as error:
-                self._remove_overviews()
+                # GDAL's file next to a COG while it computes overviews.
+                for path in beside(self._target):
+                    with contextlib.suppress(OSError):
+                        path.unlink()
                 if isinstance(error, StorageError):
                     raise
                 raise self._cannot_write(error) from error
@@ -334,12 +337,6 @@ class RasterSink:
     def _cannot_write(self, error: BaseException) -> StorageError:
         # GDAL reports where it failed to write, but libtiff hides the reason.
         return cannot_write(self._path, _refusal(self._part.parent) or one_line(error))
-
-    def _remove_overviews(self) -> None:
-        """Remove the file that GDAL makes next to a COG while it computes overviews."""
-        for path in beside(self._target):
-            with contextlib.suppress(OSError):
-                path.unlink()
 
     def __enter__(self) -> Self:
         return self
