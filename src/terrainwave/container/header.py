@@ -411,7 +411,6 @@ class _Violation:
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield violations of the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
-    method = METHODS[header.method]
     unknown = header.features & ~KNOWN_FEATURES
     if unknown:
         yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
@@ -443,7 +442,12 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
-    # Features that conflict with each other or with the method.
+    yield from _violations_of_features(header)
+    yield from _violations_of_sizes(header, extents)
+
+
+def _violations_of_features(header: Header) -> Iterator[_Violation]:
+    method = METHODS[header.method]
     for is_used, is_known, what in (
         (
             header.border_rings != 1,
@@ -468,6 +472,9 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
             yield _Violation("remainders beside a step or a bound that is not 0")
     elif header.rho > header.max_error:
         yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
+
+
+def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:

@@ -53,7 +53,7 @@ _ACROSS = (
 _WIDE = 1024
 
 
-class Turn(NamedTuple):
+class Orientation(NamedTuple):
     """Orientation of a raster's rows and columns relative to another grid.
 
     First rows and columns are exchanged, then the order of rows and of columns is reversed.
@@ -95,7 +95,7 @@ class Turn(NamedTuple):
         return Region(row, col, *part.shape)
 
 
-TURNS = tuple(Turn(*turn) for turn in product((False, True), repeat=3))
+ORIENTATIONS = tuple(Orientation(*turn) for turn in product((False, True), repeat=3))
 
 
 class _Description(NamedTuple):
@@ -117,7 +117,7 @@ class _Description(NamedTuple):
     earlier: EarlierLoss | None
     told: Told
     even: Even | None
-    turn: Turn = Turn()
+    turn: Orientation = Orientation()
 
     @property
     def unit(self) -> HeightUnit:
@@ -127,7 +127,7 @@ class _Description(NamedTuple):
     def on_grid_of(self, first: Self) -> Self:
         """Return the raster in the order of rows and columns of `first`, if possible."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
-        for turn in TURNS:
+        for turn in ORIENTATIONS:
             transform = turn.of_transform(self.transform, self.shape)
             if _difference(first.transform, transform) * size <= _TOLERANCE * pixel:
                 return self._replace(
@@ -281,7 +281,7 @@ class MosaicBackend(RasterBackend):
         if self._differing:
             names = ", ".join(self._differing)
             yield f"{self.name}: dropped, as the rasters differ there: {names}"
-        turned = [one.about for one in self._members if one.about.turn != Turn()]
+        turned = [one.about for one in self._members if one.about.turn != Orientation()]
         if turned:
             yield (
                 f"{_names(turned)}: rows or columns are stored in another order than in"

@@ -24,7 +24,7 @@ from terrainwave.place.meaning import Told, by_numbers
 from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
-from terrainwave.raster_io.mosaic import TURNS, Turn
+from terrainwave.raster_io.mosaic import ORIENTATIONS, Orientation
 from terrainwave.raster_io.vrt.copied import unreported
 
 # Samples per window, and its height if the original is striped: with windows of few rows the
@@ -68,7 +68,7 @@ class Original:
         self.transform = tuple(dataset.transform)[:6]
         self.shape = dataset.height, dataset.width
         self.place: Region | None = Region(0, 0, *self.shape)
-        self.turn = Turn()
+        self.turn = Orientation()
         if whole is not None:
             self.turn, self.place = _place(dataset, tuple(transform)[:6], whole)
         elif transform is not None:
@@ -216,29 +216,31 @@ class Original:
         return DatasetBackend(self.dataset, self.band, owned=True)
 
 
-def _turns_of(dataset: Any, wanted: tuple[float, ...]) -> Iterator[tuple[Turn, Any, float, float]]:
+def _turns_of(
+    dataset: Any, wanted: tuple[float, ...]
+) -> Iterator[tuple[Orientation, Any, float, float]]:
     """Yield orders of rows and columns, with the transform, the pixel, and how far ends drift."""
     shape = dataset.height, dataset.width
-    for turn in TURNS:
+    for turn in ORIENTATIONS:
         if not turn.swap:
             found = turn.of_transform(tuple(dataset.transform)[:6], shape)
             drift = max(shape) * max(abs(found[i] - wanted[i]) for i in _LINEAR)
             yield turn, found, max(abs(found[i]) for i in _LINEAR), drift
 
 
-def _turn_to(dataset: Any, wanted: tuple[float, ...]) -> Turn:
+def _turn_to(dataset: Any, wanted: tuple[float, ...]) -> Orientation:
     """Return the order of a dataset's rows and columns compared with a transform's."""
     for turn, found, pixel, drift in _turns_of(dataset, wanted):
         # Corners computed in another way differ by rounding.
         shift = max(abs(found[i] - wanted[i]) for i in (2, 5))
         if max(shift, drift) <= _SAME_PIXEL * pixel:
             return turn
-    return Turn()
+    return Orientation()
 
 
 def _place(
     dataset: Any, wanted: tuple[float, ...], whole: tuple[int, int]
-) -> tuple[Turn, Region | None]:
+) -> tuple[Orientation, Region | None]:
     """Return the order of a dataset and the part of a file's grid that it covers, or None."""
     for turn, found, pixel, drift in _turns_of(dataset, wanted) if determinant(wanted) else ():
         row, col = places_to_pixels(wanted, found[2], found[5])
@@ -249,7 +251,7 @@ def _place(
             place = Region(round(row), round(col), dataset.height, dataset.width)
             is_inside = place.intersect(Region(0, 0, *whole)) == place
             return turn, place if is_inside else None
-    return Turn(), None
+    return Orientation(), None
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:

@@ -4,7 +4,7 @@ import io
 import os
 import threading
 from collections.abc import Sequence
-from typing import Any, BinaryIO, Protocol, runtime_checkable
+from typing import Any, BinaryIO
 
 from terrainwave.container.sources.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
@@ -14,61 +14,33 @@ from terrainwave.forks import renew_after_fork
 MAX_WHOLE = 64 << 20
 
 
-@runtime_checkable
-class ByteSource(Protocol):
-    """Random access to a known number of bytes; thread-safe.
+class ByteSource:
+    """Random access to a known number of bytes; thread-safe. Ranges outside them raise.
 
-    A source of a path or URL can be pickled; unpickling opens it again.
+    A source of a path or URL can be pickled; unpickling opens it again. `is_local` means that a
+    request costs little. `_read` may return less only at the end of the source.
     """
 
-    @property
-    def size(self) -> int:
-        """Return the number of bytes."""
-        ...
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Return exactly these bytes; raise `TruncatedStreamError` if there are fewer."""
-        ...
-
-    def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; near ones in one request."""
-        ...
-
-    def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; each is one request."""
-        ...
-
-    def check_unchanged(self) -> None:
-        """Raise `StorageError` if the bytes are known to have changed since the opening."""
-        ...
-
-    def close(self) -> None:
-        """Close files and connections; reading afterwards raises `StorageError`."""
-        ...
-
-
-class MergingSource:
-    """Common parts of all sources; `_read` may return less only at the end of the source."""
-
+    is_local = False
     name: str
     size: int
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`."""
+        """Return exactly these bytes; raise `TruncatedStreamError` if there are fewer."""
         self._check_range(offset, length)
         data = self._read(offset, length) if length else b""
         self._check_length(ByteRange(offset, length), data)
         return data
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order."""
+        """Return the bytes of each range, in the given order; near ones in one request."""
         for wanted in ranges:
             self._check_range(*wanted)
         merged = merge_ranges(ranges)
         return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; in parallel if possible."""
+        """Return the bytes of each range, in the given order; each is one request."""
         for span in spans:
             self._check_range(*span)
         return self._read_spans(spans)
@@ -93,7 +65,7 @@ class MergingSource:
         raise NotImplementedError
 
     def check_unchanged(self) -> None:
-        """Do nothing: an open file does not change, and http compares every reply."""
+        """Raise `StorageError` if the bytes are known to have changed since the opening."""
 
     @property
     def version(self) -> str:
@@ -101,10 +73,10 @@ class MergingSource:
         return ""
 
     def close(self) -> None:
-        """Release resources."""
+        """Close files and connections; reading afterwards raises `StorageError`."""
 
 
-class BufferSource(MergingSource):
+class BufferSource(ByteSource):
     """Bytes in memory, or a seekable binary file object, which the caller closes."""
 
     def __init__(self, buffer: bytes | BinaryIO) -> None:
@@ -161,7 +133,7 @@ class BufferSource(MergingSource):
 
 
 class FileSource(BufferSource):
-    """A local file; `is_local` means that a request costs little."""
+    """A local file."""
 
     is_local = True
 

@@ -19,7 +19,7 @@ class CutFile(MemberSource):
     """
 
     def __init__(self, source: ByteSource, size: int) -> None:
-        super().__init__(getattr(source, "name", ""), source, 0, size)
+        super().__init__(source.name, source, 0, size)
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         n_there = self._archive.size

@@ -45,7 +45,6 @@ from terrainwave.container.sources.byte_source import (
     MAX_WHOLE,
     ByteSource,
     FileSource,
-    MergingSource,
 )
 from terrainwave.container.sources.connections import (
     N_CONNECTIONS,
@@ -154,7 +153,7 @@ class _Reply(NamedTuple):
         return 0.0
 
 
-class HttpSource(MergingSource):
+class HttpSource(ByteSource):
     """A file on a web server with byte ranges, or a small one on a server without.
 
     Opening is one request, for the first 16 KiB. Retries and error messages are those of the
@@ -477,7 +476,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-class FsspecSource(MergingSource):
+class FsspecSource(ByteSource):
     """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
 
     Parameters
