@@ -57,7 +57,6 @@ class _Outcome:
 
     @property
     def name(self) -> str:
-        """Return the display name of the source."""
         return plain(display_name(self.job.source))
 
     @property
@@ -67,7 +66,6 @@ class _Outcome:
         return text if self.name in text else f"{self.name}: {text}"
 
     def to_dict(self, word: str) -> dict[str, Any]:
-        """Return its fields for --json."""
         named = {
             "source": display_name(self.job.source),
             "target": self.job.target,

@@ -143,7 +143,6 @@ def _ask_rasterio() -> tuple[str, bool]:
 
 
 def _advice(command: str | None, version: str | None, problems: list[str]) -> list[str]:
-    """Return advice if the driver is missing."""
     if command is None:
         return [
             f"found no {_COMMAND} on the PATH: install GDAL's commands (Debian: gdal-bin), or add"

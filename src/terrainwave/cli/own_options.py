@@ -55,7 +55,6 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
 
 
 def _words(own: Sequence[str]) -> dict[str, str]:
-    """Return the values of -o by the names of the options."""
     words: dict[str, str] = {}
     for text in own:
         name = text.partition("=")[0].replace("-", "_")

@@ -174,7 +174,6 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _read(folder: Path) -> None:
-    """Read windows, levels and points, and write GeoTIFFs."""
     for path in _files(folder):
         with terrainwave.open(path) as terrain:
             for resampling in ("nearest", "bilinear", "average"):
@@ -189,7 +188,6 @@ def _read(folder: Path) -> None:
 
 
 def _verify(folder: Path) -> None:
-    """Compare files with their rasters, including meshes."""
     for path in _files(folder):
         stem, _, method = path.stem.rpartition("-")
         if method == DEFAULT_METHOD.name:
@@ -212,7 +210,6 @@ def _patch(folder: Path) -> None:
 
 
 def _mesh(folder: Path) -> None:
-    """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
         # Kinds that files of every method can have; here they follow no zero trees.
@@ -231,7 +228,6 @@ def _mesh(folder: Path) -> None:
 
 
 def _render(folder: Path) -> None:
-    """Draw a picture in each mode."""
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.style import Style
     from terrainwave.render.modes import MODES

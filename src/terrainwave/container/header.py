@@ -249,12 +249,10 @@ class Extents:
 
     @property
     def parameters_start(self) -> int:
-        """Return the offset of the method's parameters."""
         return self.header_size + self.metadata_length
 
     @property
     def top_start(self) -> int:
-        """Return the offset of the top segment."""
         return self.parameters_start + self.parameters_length
 
 

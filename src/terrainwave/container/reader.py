@@ -112,7 +112,6 @@ class Container:
 
     @property
     def _segments_end(self) -> int:
-        """Return the end of the segments; if digests follow, an upper limit."""
         return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
 
     def _unpack_top(self, data: bytes) -> Segment:
@@ -462,7 +461,6 @@ class Container:
 def _payload_places(
     heads: Mapping[Block, Block | None], known: Mapping[Block | None, Segment]
 ) -> dict[Block, ByteRange]:
-    """Return the positions of the payloads whose segments are known."""
     return {
         key: known[head].payload_range(known[head].layout.key_rows[key])
         for key, head in heads.items()
@@ -471,7 +469,6 @@ def _payload_places(
 
 
 def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
-    """Return `header` with the metadata and the method's tables, both checked."""
     metadata = start[extents.parameters_start - extents.metadata_length : extents.parameters_start]
     if zlib.crc32(metadata) != extents.metadata_crc:
         raise CorruptStreamError("checksum of the metadata does not match")

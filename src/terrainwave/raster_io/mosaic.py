@@ -64,13 +64,11 @@ class Orientation(NamedTuple):
     flip_cols: bool = False
 
     def of_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Return rows and columns of a turned raster."""
         return (shape[1], shape[0]) if self.swap else shape
 
     def of_transform(
         self, transform: tuple[float, ...], shape: tuple[int, int]
     ) -> tuple[float, ...]:
-        """Return the transform of a turned raster of `shape`."""
         a, b, c, d, e, f = transform
         n_rows, n_cols = self.of_shape(shape)
         if self.swap:
@@ -82,7 +80,6 @@ class Orientation(NamedTuple):
         return a, b, c, d, e, f
 
     def of_array(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return a turned view of a raster's samples."""
         turned = array.T if self.swap else array
         return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
 
@@ -121,7 +118,6 @@ class _Description(NamedTuple):
 
     @property
     def unit(self) -> HeightUnit:
-        """Return the unit of the raster's heights."""
         return height_unit(self.tags["units"], self.tags["crs"])
 
     def on_grid_of(self, first: Self) -> Self:
@@ -548,7 +544,6 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
 
 
 def _pixel(transform: tuple[float, ...]) -> float:
-    """Return the approximate size of a pixel."""
     a, b, _, d, e, _ = transform
     return max(abs(a), abs(b), abs(d), abs(e))
 

@@ -89,7 +89,6 @@ class RasterInfo:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
         return self.n_rows, self.n_cols
 
     @property
@@ -101,7 +100,6 @@ class RasterInfo:
 
     @property
     def crs_name(self) -> str:
-        """Short name of the CRS."""
         return crs_name(self.crs)
 
     @property

@@ -207,7 +207,6 @@ class Spool:
         ]
 
     def _offset(self, at: tuple[int, int]) -> int:
-        """Return the offset of a tile in the file."""
         if self.is_kept:
             number = (at[0] * self._states.shape[1] + at[1]) * self.dtype.itemsize
         else:
@@ -224,7 +223,6 @@ class Spool:
         return self._samples(at, data, n_bytes, np.s_[:, :])
 
     def _read_tile(self, at: tuple[int, int], part: tuple[slice, slice]) -> NDArray[Any]:
-        """Return samples of a tile that is in the file."""
         n_bytes = int(self._states[at])
         if hasattr(os, "pread"):
             data = os.pread(self._file.fileno(), TILE * TILE * n_bytes, self._offset(at))

@@ -185,7 +185,6 @@ class TreeDecoder:
         self._cache.put(key, unit)
 
     def spec(self, key: Block) -> GroupSpec:
-        """Return the spec of a unit."""
         return self._specs.get_or_make(key, lambda: unit_spec(self.grid, self._parameters, key))
 
     def part(
@@ -306,12 +305,10 @@ def units_of(grid: Grid, level: int, region: Region) -> list[Block]:
 
 
 def unit_key(block: Block) -> Block:
-    """Return the key of the unit that holds `block`."""
     return Block(-1, block.row, block.col) if block.level == 0 else block.parent
 
 
 def unit_name(key: Block) -> str:
-    """Name the unit for messages."""
     if key.is_root_key:
         return f"root block (row {key.row}, column {key.col})"
     return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

@@ -350,7 +350,6 @@ class NativeFile:
         return found[0], ~found[1]
 
     def _side(self, level: int) -> int:
-        """Return the samples on a side of a unit."""
         block = self._header.grid.block
         return block if level == 0 else 2 * block
 

@@ -66,7 +66,6 @@ class LevelWindow(NamedTuple):
 
     @property
     def level(self) -> int:
-        """Return the level, counted from 0."""
         return self.place.level
 
     def note_on_cut(self, pixel: tuple[float, float]) -> str | None:

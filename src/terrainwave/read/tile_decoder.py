@@ -127,7 +127,6 @@ class TiledDecoder(TreeDecoder):
         return found
 
     def _tile(self, key: Block) -> Tile:
-        """Return a decoded tile; its ancestors are decoded as needed."""
         # Tiles above never wait for those below.
         return self._tiles.get_or_make(key, lambda: self._decode_tile(key))
 

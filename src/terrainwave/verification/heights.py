@@ -411,7 +411,6 @@ class _Comparison:
         return None if height is None else Even(height, True)
 
     def _is_void(self, region: Region) -> bool:
-        """Return whether the .twz file's index has no heights in a region."""
         try:
             return next(self._terrain.coded_parts(region), None) is None
         except TerrainwaveError:  # reading there raises

@@ -89,7 +89,6 @@ class Original:
         self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
 
     def unit(self) -> HeightUnit:
-        """Return the original's unit: its band's, else its CRS's."""
         units = self.dataset.units[self.band - 1]
         return height_unit(units, format_crs(self.dataset.crs))
 

@@ -122,7 +122,6 @@ def _compress(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make one file of one raster, or of a mosaic."""
     import terrainwave
     from terrainwave.ext.distributed import connected
 
@@ -191,7 +190,6 @@ _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 
 
 def _asked(options: dict[str, Any]) -> Options:
-    """Return the options of the file, checked."""
     return Options(**{name: options[name] for name in options.keys() & {*Options.names()}})
 
 

@@ -137,12 +137,10 @@ class _Reply(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Return the status as number and words."""
         return f"{self.status} {http.client.responses.get(self.status, '')}".rstrip()
 
     @property
     def version(self) -> _Version:
-        """Return the version of the file in this reply."""
         return _Version(self.headers.get("ETag"), self.headers.get("Last-Modified"))
 
     @property
@@ -276,7 +274,6 @@ class HttpSource(ByteSource):
         self._version = _Version(etag or version.etag, modified or version.modified)
 
     def _refused(self, reply: _Reply) -> StorageError:
-        """Return the error of a status without bytes."""
         problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
             has_login = "@" in reply.proxy

@@ -53,7 +53,6 @@ def mapping_of(array: Any) -> dict[str, Any]:
 
 
 def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
-    """Return the CRS, and notes on it."""
     for owner in (array, source):
         with contextlib.suppress(AttributeError):
             if owner.rio.crs is not None:

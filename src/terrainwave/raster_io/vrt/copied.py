@@ -43,7 +43,6 @@ def unreported(dataset: Any, band: int) -> Unreported:
 
 
 def _vrt_of(dataset: Any) -> str:
-    """Return the XML of a dataset as a VRT."""
     if dataset.driver == "VRT":
         return text_of(dataset)
     with bounded_env(), MemoryFile(ext=".vrt") as memory:
