@@ -268,11 +268,11 @@ def _with_meshes(
 ) -> VerifyReport:
     """Add the checks of meshes to a report, unless heights cannot be read."""
     # Imported here: numba.
-    from terrainwave.verification.mesh_walk import verify_meshes
+    from terrainwave.verification.mesh_walk import MeshVerification
 
-    checked, problems = verify_meshes(
+    checked, problems = MeshVerification(
         terrain, None if read is None else lambda region: read(*region), progress
-    )
+    ).run()
     return replace(report, mesh=checked, problems=(*report.problems, *problems))
 
 
