@@ -82,23 +82,23 @@ class Layers:
     def __init__(self, places: Sequence[Region]) -> None:
         corners = np.array(places, dtype=np.int64).reshape(-1, 4)
         self.first, self.last = corners[:, :2], corners[:, :2] + corners[:, 2:]
-        self._all = np.arange(len(places))
+        self._edges = np.vstack([np.arange(len(places)), self.first.T, self.last.T])
         # Bands of the mean height: each place is in few of them.
         self._band = max(_BAND, int(corners[:, 2].sum()) // max(len(places), 1))
         self._near = cache(self._near_band)
 
     def touching(self, region: Region) -> list[int]:
         """Return the numbers of the places that a region touches, in order."""
-        is_low = region.n_rows <= self._band
-        numbers = self._near(region.row // self._band) if is_low else self._all
-        end = region.row + region.n_rows, region.col + region.n_cols
-        found = (self.first[numbers] < end) & (self.last[numbers] > region[:2])
-        return numbers[found.all(axis=1)].tolist()
+        row, col, n_rows, n_cols = region
+        is_low = n_rows <= self._band
+        numbers, top, left, bottom, right = self._near(row // self._band) if is_low else self._edges
+        within_rows = (top < row + n_rows) & (bottom > row)
+        return numbers[within_rows & (left < col + n_cols) & (right > col)].tolist()
 
-    def _near_band(self, band: int) -> NDArray[np.intp]:
-        """Return the places that regions beginning in a band, and as low, may touch."""
+    def _near_band(self, band: int) -> NDArray[np.int64]:
+        """Return edges of the places that regions beginning in a band, and as low, may touch."""
         first, end = band * self._band, (band + 2) * self._band
-        return np.flatnonzero((self.first[:, 0] < end) & (self.last[:, 0] > first))
+        return self._edges[:, (self._edges[1] < end) & (self._edges[3] > first)]
 
 
 def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable[[], Any]) -> Any:
@@ -119,6 +119,8 @@ def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable
         parts.append(part)
     if value is None:
         return gap()
+    if parts[0] == region:
+        return value
     n_samples = region.n_rows * region.n_cols
     is_enough = sum(one.n_rows * one.n_cols for one in parts) >= n_samples
     return value if is_enough and samples_in(parts) == n_samples else None
