@@ -25,6 +25,7 @@ from terrainwave.errors import (
     StorageError,
 )
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.read.decoder import units_of
 from terrainwave.read.resample import resample
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
@@ -125,7 +126,7 @@ def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, 
         assert terrain.read(masked=True).mask.sum() == (raster == -32768).sum()
         k_max = terrain.grid.k_max
         whole = Region(0, 0, R, C)
-        finest = terrain.decoder.keys(k_max, whole)
+        finest = units_of(terrain.grid, k_max, whole)
         side = 2 * terrain.grid.block
         np.testing.assert_array_equal(terrain.read((0, 0, side, side)), raster[:side, :side])
         assert not any(terrain.decoder._cache.get(key) for key in finest)

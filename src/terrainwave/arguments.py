@@ -45,12 +45,6 @@ def check_ending(
 
     This protects a raster that was given as the last of several sources, and the files of other
     programs.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the name has none of the endings (in capital or small letters), or it is a URL and
-        `or_url` is false.
     """
     if not or_url:
         check_local(path)
@@ -64,13 +58,7 @@ def check_ending(
 
 
 def check_local(target: str | os.PathLike[str]) -> None:
-    """Raise if a target is a URL: used as a path it would name folders of this machine.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is a URL or not the name of a file. The message has neither login nor query.
-    """
+    """Raise if a target is a URL: used as a path it would name folders of this machine."""
     name = checked_path(target)
     if "://" in name:
         raise InvalidArgumentError(
@@ -88,11 +76,6 @@ def checked_path(path: object, argument: str | None = None) -> str:
         The value given by the user.
     argument : str, optional
         The name of the argument, for messages.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither text nor a path, or is empty (which would mean the working directory).
     """
     of = "" if argument is None else f"`{argument}` "
     name = os.fspath(path) if isinstance(path, str | os.PathLike) else None
@@ -241,13 +224,7 @@ _ONLY = "only:"
 
 
 def nodata_choice(given: object) -> NodataChoice:
-    """Parse `nodata`: None, a number, ``"only:NUMBER"`` or ``"none"``.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is something else.
-    """
+    """Parse `nodata`: None, a number, ``"only:NUMBER"`` or ``"none"``."""
     if given is None:
         return NodataChoice()
     value = None if isinstance(given, str) else number_of(given)
@@ -286,11 +263,6 @@ def checked_number(
         The number must be >= `least`, > `above` and <= `most`.
     expected : str
         Replaces the description of this range in messages.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is anything else. Texts and truth values are not numbers.
     """
     number = number_of(value)
     try:
@@ -343,13 +315,7 @@ def _in_range(kind: str, least: float, most: float) -> str:
 
 
 def checked_numbers(name: str, values: Any, names: str, *, is_whole: bool = False) -> Any:
-    """Return finite numbers as a tuple of floats or of ints, one for each of `names`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If they are anything else, or their count is wrong.
-    """
+    """Return finite numbers as a tuple of floats or of ints, one for each of `names`."""
     taken: list[float] | None = []
     check = checked_whole if is_whole else checked_number
     try:
@@ -379,13 +345,7 @@ def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
 
 
 def checked_error(name: str, error: object) -> float | None:
-    """Return a finite error >= 0 as a float, or None.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is anything else.
-    """
+    """Return a finite error >= 0 as a float, or None."""
     return None if error is None else checked_number(name, error, least=0)
 
 
@@ -421,13 +381,7 @@ def check_effort(effort: str) -> None:
 
 
 def checked_threads(threads: object) -> int:
-    """Return the number of threads; by default one for each processor that the process may use.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not a whole number >= 1.
-    """
+    """Return the number of threads; by default one for each processor that the process may use."""
     if threads is not None:
         return checked_whole("threads", threads, least=1)
     # Containers and `taskset` restrict a process to some of the processors.

@@ -629,10 +629,7 @@ main()
 def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     usual_signals, monkeypatch, tmp_path, dem
 ):
-    monkeypatch.setattr(
-        "terrainwave.container.targets.publication._copy_permissions",
-        lambda *_: os.kill(os.getpid(), signal.SIGTERM),
-    )
+    monkeypatch.setattr("os.fsync", lambda _: os.kill(os.getpid(), signal.SIGTERM))
     done = run("compress", dem, tmp_path / "a.twz", "-q")
     assert done.exit_code == 143
     assert done.stderr.strip() == "terrainwave: terminated; the target is untouched"

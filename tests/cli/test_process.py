@@ -441,7 +441,7 @@ LAYERS = {
         "container.reader.Container.__init__",
         "raster_io.raster_info.RasterInfo.from_metadata",
     ],
-    "verify": ["verification.heights.open_original", "read.decoder.TreeDecoder.unit"],
+    "verify": ["verification.heights.opened", "read.decoder.TreeDecoder.unit"],
     "mesh": ["container.reader.Container.payloads", "export.mesh.Mesh.save"],
 }
 

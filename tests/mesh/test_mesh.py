@@ -36,7 +36,7 @@ from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.verification.mesh_walk import verify_meshes
+from terrainwave.verification.mesh_walk import MeshVerification
 from terrainwave.write.meshes import store_meshes
 
 N_EXAMPLES = 3 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
@@ -62,12 +62,12 @@ def full_region(grid, level, window):
 def test_all_meshes_of_a_file_are_right(case, tmp_path_factory):
     path = write_case(case, tmp_path_factory.mktemp("all"))
     with terrainwave.open(path, threads=1) as terrain:
-        report, problems = verify_meshes(terrain, reader(case))
+        report, problems = MeshVerification(terrain, reader(case)).run()
         assert problems == []
         assert report.against == "original"
         for level in report.levels:
             assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
-        assert verify_meshes(terrain)[1] == []
+        assert MeshVerification(terrain).run()[1] == []
 
 
 @given(case=cases(max_side=130), data=st.data())
@@ -229,7 +229,7 @@ def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
     with terrainwave.open(path) as terrain:
         with pytest.raises(InvalidHeightsError, match="at least 2 x 2"):
             terrain.mesh(max_error=10)
-        report, problems = verify_meshes(terrain, reader(case))
+        report, problems = MeshVerification(terrain, reader(case)).run()
         assert problems == []
         assert report.areas == ()
 
@@ -407,7 +407,7 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     path = write_case(case, tmp_path)
     report, problems = None, None
     with terrainwave.open(path) as terrain:
-        report, problems = verify_meshes(terrain, reader(case))
+        report, problems = MeshVerification(terrain, reader(case)).run()
     assert problems == []
     assert report.levels == ()  # only meshes of the area
     store_meshes(path, tmp_path / "later.twz", mesh_error=7)

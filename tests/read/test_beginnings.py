@@ -17,6 +17,7 @@ from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.read.decoder import units_of
 
 SHAPE = 230, 301
 HEIGHTS = heights_of(SHAPE)
@@ -118,7 +119,7 @@ def test_units_that_leave_the_cache_after_the_plan_are_decoded_as_their_children
         decoder, level = terrain.decoder, terrain.n_levels - 1
         for _ in range(200):
             region = Region(*(int(rng.integers(0, n - 90)) for n in SHAPE), 15, 90)
-            keys, kept = decoder.keys(level, region), decoder._cache._values
+            keys, kept = units_of(terrain.grid, level, region), decoder._cache._values
             for key in [key for key in kept if rng.random() < 0.5]:
                 del kept[key]
             _, rows = decoder.prefetch_for(keys, region)

@@ -284,7 +284,7 @@ def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
         raise native.NativeError(native_library.Failure(native_library.CORRUPT, b"bits of straw"))
 
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    monkeypatch.setattr(native.NativeFile, "read", refuse)
+    monkeypatch.setattr(native.NativeFile, "window", refuse)
     with terrainwave.open(data) as terrain:
         with pytest.warns(TerrainwaveWarning, match=r"bits of straw.*please report it"):
             heights = terrain.read()
@@ -324,7 +324,7 @@ def test_many_threads_read_one_file_which_is_closed_meanwhile(with_library, alon
         terrain.close()
         assert sum(run.result(60) for run in runs) > 0
     with pytest.raises(StorageError, match="closed"):
-        terrain._levels._native.read(0, terrain.region((0, 0, 5, 5), level=0), is_own=True)
+        terrain._windows._native.window(0, terrain.region((0, 0, 5, 5), level=0), is_own=True)
 
 
 @pytest.mark.native
@@ -373,9 +373,11 @@ def test_an_argument_and_the_environment_turn_it_off(with_library, monkeypatch, 
     path = tmp_path / "a.twz"
     path.write_bytes(twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32))
     used = []
-    read = native.NativeFile.read
+    read = native.NativeFile.window
     monkeypatch.setattr(
-        native.NativeFile, "read", lambda *args, **options: used.append(1) or read(*args, **options)
+        native.NativeFile,
+        "window",
+        lambda *args, **options: used.append(1) or read(*args, **options),
     )
 
     def is_used(**options):

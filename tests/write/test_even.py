@@ -252,13 +252,13 @@ def sea(tiles):
 def decoded(monkeypatch):
     """The keys of units in the order in which they are decoded."""
     keys = []
-    decode = decoder_module.Groups.decode
+    decode = decoder_module.TreeDecoder._decode
 
-    def noted(self, units, key, *begun):
+    def noted(self, key, *begun):
         keys.append(key)
-        return decode(self, units, key, *begun)
+        return decode(self, key, *begun)
 
-    monkeypatch.setattr(decoder_module.Groups, "decode", noted)
+    monkeypatch.setattr(decoder_module.TreeDecoder, "_decode", noted)
     return keys
 
 

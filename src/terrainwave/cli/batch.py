@@ -57,7 +57,6 @@ class _Outcome:
 
     @property
     def name(self) -> str:
-        """Return the display name of the source."""
         return plain(display_name(self.job.source))
 
     @property
@@ -67,7 +66,6 @@ class _Outcome:
         return text if self.name in text else f"{self.name}: {text}"
 
     def to_dict(self, word: str) -> dict[str, Any]:
-        """Return its fields for --json."""
         named = {
             "source": display_name(self.job.source),
             "target": self.job.target,
@@ -102,11 +100,6 @@ def plan(
 
     A folder means all files below it that end in one of `endings`; their targets lie in folders of
     the same names. Hidden files and files below `directory` are left out.
-
-    Raises
-    ------
-    click.UsageError
-        If two jobs have the same target, a source is a stream, or a folder holds no such file.
     """
     jobs: dict[str, FileJob] = {}
     if STREAM in sources:
@@ -131,11 +124,6 @@ def with_files_of_folders(
     """Yield named files and those in named folders, each with its relative folder.
 
     In folders, files that end in one of `endings`, except those below `directory`.
-
-    Raises
-    ------
-    click.UsageError
-        If a folder holds no such file.
     """
     for source in sources:
         checked_path(source)
@@ -306,13 +294,7 @@ def _status(outcomes: Sequence[_Outcome]) -> int:
 
 
 def find_original(file: str, directory: Path) -> str:
-    """Return the raster in a directory with the name of a .twz file.
-
-    Raises
-    ------
-    StorageError
-        If there is no such raster, or more than one.
-    """
+    """Return the raster in a directory with the name of a .twz file."""
     from terrainwave.errors import StorageError
 
     stem = Path(file).stem
@@ -328,13 +310,7 @@ _NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
 
 
 def refuse_unknown_raster(target: str) -> None:
-    """Raise if the target is a raster that `decompress` may not have made, such as the original.
-
-    Raises
-    ------
-    StorageError
-        If GDAL can read the file.
-    """
+    """Raise if the target is a raster that `decompress` may not have made, such as the original."""
     from terrainwave.errors import StorageError
     from terrainwave.raster_io.dataset import open_dataset
 
@@ -349,13 +325,7 @@ def refuse_unknown_raster(target: str) -> None:
 
 
 def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:
-    """Raise for --skip-existing where nothing can be skipped.
-
-    Raises
-    ------
-    click.UsageError
-        If it is given without --to, or with --overwrite.
-    """
+    """Raise for --skip-existing where nothing can be skipped."""
     if skip_existing and to is None:
         raise click.UsageError("found --skip-existing without --to, expected both")
     if skip_existing and overwrite:

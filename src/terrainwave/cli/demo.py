@@ -26,16 +26,8 @@ def run_demo(
 
     Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
     an earlier run; a failed run leaves nothing. Returns the raster in words, and a row below
-    `HEADER` for each bound.
-
-    Raises
-    ------
-    BoundViolationError
-        If a decoded height is outside its bound.
-    StorageError
-        If `directory` cannot be written.
-    TerrainwaveError
-        If matplotlib is missing.
+    `HEADER` for each bound. Raises `BoundViolationError` if a decoded height is outside its bound.
+    Raises `TerrainwaveError` if matplotlib is missing.
     """
     folder = Path(directory)
     heights, info = _load_heights()

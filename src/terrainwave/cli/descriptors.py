@@ -8,7 +8,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, BinaryIO, TextIO
+from typing import Any, TextIO
 
 import click
 
@@ -135,7 +135,11 @@ def without_lines_of_libtiff() -> Iterator[None]:
     ours.flush()
     real = os.dup(2)
     try:
-        with _in_memory() as printed:
+        # In memory, where the system has such files: the disk may be full.
+        has_memory = hasattr(os, "memfd_create")
+        with (
+            os.fdopen(os.memfd_create("stderr"), "w+b") if has_memory else tempfile.TemporaryFile()
+        ) as printed:
             if is_real:
                 sys.stderr = open(
                     real, "w", buffering=1, encoding=ours.encoding, errors=ours.errors,
@@ -153,10 +157,3 @@ def without_lines_of_libtiff() -> Iterator[None]:
                         os.write(2, line)
     finally:
         os.close(real)
-
-
-def _in_memory() -> BinaryIO:
-    """Return a file that takes no room on a disk, where the system has such files."""
-    if hasattr(os, "memfd_create"):
-        return os.fdopen(os.memfd_create("stderr"), "w+b")
-    return tempfile.TemporaryFile()

@@ -143,7 +143,6 @@ def _ask_rasterio() -> tuple[str, bool]:
 
 
 def _advice(command: str | None, version: str | None, problems: list[str]) -> list[str]:
-    """Return advice if the driver is missing."""
     if command is None:
         return [
             f"found no {_COMMAND} on the PATH: install GDAL's commands (Debian: gdal-bin), or add"
@@ -152,7 +151,8 @@ def _advice(command: str | None, version: str | None, problems: list[str]) -> li
     if version is None:
         return [f"{command} does not print GDAL's version: run `{_COMMAND} --version` to see why"]
     minor = ".".join(version.split(".")[:2])
-    if _is_older(version):
+    numbers = version.split(".")[:2]
+    if all(part.isdigit() for part in numbers) and tuple(map(int, numbers)) < _OLDEST:
         return [
             f"the driver needs GDAL {'.'.join(map(str, _OLDEST))} or newer: install a newer GDAL"
         ]
@@ -179,11 +179,6 @@ def _advice(command: str | None, version: str | None, problems: list[str]) -> li
         f"GDAL_DRIVER_PATH names {os.pathsep.join(folders)}, where no {_PLUGIN} is: put the driver"
         f" for GDAL {minor} there, or unset the variable to have GDAL search its own folder"
     ]
-
-
-def _is_older(version: str) -> bool:
-    numbers = version.split(".")[:2]
-    return all(part.isdigit() for part in numbers) and tuple(map(int, numbers)) < _OLDEST
 
 
 def _has_plugin(folder: str, minor: str) -> bool:

@@ -34,7 +34,6 @@ def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def announce_preparation(options: dict[str, Any]) -> None:
-    """Explain the wait if a mode reads every sample before its first picture."""
     from terrainwave.render.modes import mode_class
 
     preparation = mode_class(options["mode"]).preparation(options["error"])
@@ -66,7 +65,6 @@ def note_dry_land(scene: Any, style: Any) -> None:
 
 
 def style_of(options: dict[str, Any]) -> Style:
-    """Remove the style options and return the style."""
     return Style(
         **{one.name: options.pop(one.name) for one in Style.options() if one.metadata["help"]}
     )

@@ -66,15 +66,14 @@ class Target(_Path):
         path = self.named(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
+        more = ""
         try:
             if not self._or_url:
                 check_local(path)
-        except InvalidArgumentError as error:
-            self.fail(str(error), param, ctx)
-        try:
+            more = ", or - for stdout" * self._or_stdout
             check_ending(path, self._endings, or_url=self._or_url)
         except InvalidArgumentError as error:
-            self.fail(f"{error}{', or - for stdout' * self._or_stdout}", param, ctx)
+            self.fail(f"{error}{more}", param, ctx)
         return path
 
 

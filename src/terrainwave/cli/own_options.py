@@ -30,17 +30,15 @@ def own_option(help: str) -> Callable[[Any], Any]:
 def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
     """Return a command's options with those of -o merged in.
 
+    Raises `click.UsageError` or `InvalidArgumentError` if neither the method nor the kind of meshes
+    has the option, or the value is invalid.
+
     Parameters
     ----------
     own : sequence of str
         Values of -o.
     options : dict
         Has `mesh`, and `method` and `effort` if the command has these.
-
-    Raises
-    ------
-    click.UsageError, InvalidArgumentError
-        If neither the method nor the kind of meshes has the option, or the value is invalid.
     """
     words = _words(own)
     in_use = _sets_of({"mesh": DEFAULT_MESH} | options)
@@ -57,7 +55,6 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
 
 
 def _words(own: Sequence[str]) -> dict[str, str]:
-    """Return the values of -o by the names of the options."""
     words: dict[str, str] = {}
     for text in own:
         name = text.partition("=")[0].replace("-", "_")

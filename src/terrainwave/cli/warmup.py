@@ -43,11 +43,6 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     ----------
     tasks : sequence of str
         Of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
-
-    Raises
-    ------
-    StorageError
-        If some kernels cannot be cached; detected before the compilation if possible.
     """
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
@@ -87,13 +82,7 @@ def _without_library() -> Iterator[None]:
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
-    """Compile kernels into a folder, in a process that uses no others; return their number there.
-
-    Raises
-    ------
-    StorageError
-        If the folder cannot be written, or some kernels are not cached.
-    """
+    """Compile kernels into a folder, in a process that uses no others; return their number."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may have some already
@@ -185,7 +174,6 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _read(folder: Path) -> None:
-    """Read windows, levels and points, and write GeoTIFFs."""
     for path in _files(folder):
         with terrainwave.open(path) as terrain:
             for resampling in ("nearest", "bilinear", "average"):
@@ -200,7 +188,6 @@ def _read(folder: Path) -> None:
 
 
 def _verify(folder: Path) -> None:
-    """Compare files with their rasters, including meshes."""
     for path in _files(folder):
         stem, _, method = path.stem.rpartition("-")
         if method == DEFAULT_METHOD.name:
@@ -223,7 +210,6 @@ def _patch(folder: Path) -> None:
 
 
 def _mesh(folder: Path) -> None:
-    """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
         # Kinds that files of every method can have; here they follow no zero trees.
@@ -242,7 +228,6 @@ def _mesh(folder: Path) -> None:
 
 
 def _render(folder: Path) -> None:
-    """Draw a picture in each mode."""
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.style import Style
     from terrainwave.render.modes import MODES

@@ -147,13 +147,7 @@ def section_length(tail: bytes) -> int:
 
 
 def unpack_digests(section: bytes, shape: tuple[int, int]) -> DigestTree:
-    """Read a section; the inverse of `DigestTree.pack`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If its checksum is wrong, or a digest is not that of the digests below it.
-    """
+    """Read a section; the inverse of `DigestTree.pack`."""
     crc, n_digests = _TAIL.unpack(section[-TAIL_LENGTH:])
     body = section[:-TAIL_LENGTH]
     if zlib.crc32(body) != crc or len(body) != len(VOID) * n_digests:

@@ -4,10 +4,10 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -57,10 +57,27 @@ MAX_PARAMETERS = 2**16
 SMALLEST_DIGESTS = 40  # the section of one digest (FORMAT.md §4.9)
 MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
+# Fields of the fixed header in their order; the others are those of `Header` and `Extents`.
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
+_FIELDS = (
+    "magic version reserved header_size features file_size n_rows n_cols block_log2 border_rings"
+    " method dtype effort mesh padding numerator denominator base step z_min z_max metadata_length"
+    " max_error effective_bound rho metadata_crc parameters_length parameters_crc top_page_length"
+    " mesh_tolerance"
+).split()
 _CRC = struct.Struct("<I")
 # Head of an optional section: name, length of its content, its checksum (FORMAT.md §4.8).
 _SECTION = struct.Struct("<4s I I")
+
+
+class _Feature:
+    """Whether a file has a feature of the mask."""
+
+    def __init__(self, bit: int) -> None:
+        self._bit = bit
+
+    def __get__(self, header: "Header", _: object = None) -> bool:
+        return bool(header.features & self._bit)
 
 
 @dataclass(frozen=True)
@@ -134,30 +151,11 @@ class Header:
         """Return the quadtree over the raster."""
         return Grid(self.n_rows, self.n_cols, self.block)
 
-    @property
-    def has_remainders(self) -> bool:
-        """Return whether remainders make heights of the full grid exact."""
-        return bool(self.features & HAS_REMAINDERS)
-
-    @property
-    def is_faithful(self) -> bool:
-        """Return whether the file follows the paper of its method (FORMAT.md §7.9)."""
-        return bool(self.features & IS_FAITHFUL)
-
-    @property
-    def has_voids(self) -> bool:
-        """Return whether samples of the full grid may be void; if not, all are valid."""
-        return bool(self.features & HAS_VOIDS)
-
-    @property
-    def has_corrections(self) -> bool:
-        """Return whether payloads have corrections."""
-        return bool(self.features & HAS_CORRECTIONS)
-
-    @property
-    def has_digests(self) -> bool:
-        """Return whether the file ends with digests of its heights."""
-        return bool(self.features & HAS_DIGESTS)
+    has_voids = _Feature(HAS_VOIDS)
+    has_remainders = _Feature(HAS_REMAINDERS)
+    is_faithful = _Feature(IS_FAITHFUL)
+    has_corrections = _Feature(HAS_CORRECTIONS)
+    has_digests = _Feature(HAS_DIGESTS)
 
     @property
     def moved(self) -> int:
@@ -251,23 +249,15 @@ class Extents:
 
     @property
     def parameters_start(self) -> int:
-        """Return the offset of the method's parameters."""
         return self.header_size + self.metadata_length
 
     @property
     def top_start(self) -> int:
-        """Return the offset of the top segment."""
         return self.parameters_start + self.parameters_length
 
 
 def pack_header(header: Header, extents: Extents) -> bytes:
-    """Return the 128 bytes of the header (FORMAT.md §4.1).
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a field is outside the limits of the format.
-    """
+    """Return the 128 bytes of the header (FORMAT.md §4.1)."""
     if header.block.bit_count() != 1 or header.block < 1:
         raise InvalidHeightsError(f"block is {header.block}, not a power of two")
     if header.method not in METHODS:
@@ -278,38 +268,20 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         raise InvalidHeightsError(f"data type {header.dtype} cannot be stored")
     for problem in _violations(header, extents):
         raise InvalidHeightsError(problem.text)
-    body = _LAYOUT.pack(
-        MAGIC,
-        FORMAT_VERSION,
-        0,
-        extents.header_size,
-        header.features,
-        extents.file_size,
-        header.n_rows,
-        header.n_cols,
-        header.block.bit_length() - 1,
-        header.border_rings,
-        METHODS[header.method].number,
-        DTYPE_CODES[header.dtype],
-        header.effort,
-        MESHES.index(header.mesh),
-        bytes(2),
-        header.quantum.numerator,
-        header.quantum.denominator,
-        header.base,
-        header.step,
-        header.z_min,
-        header.z_max,
-        extents.metadata_length,
-        header.max_error,
-        header.effective_bound,
-        header.rho,
-        extents.metadata_crc,
-        extents.parameters_length,
-        extents.parameters_crc,
-        extents.top_page_length,
-        header.mesh_tolerance,
-    )
+    values = vars(header) | vars(extents)
+    values |= {
+        "magic": MAGIC,
+        "version": FORMAT_VERSION,
+        "reserved": 0,
+        "padding": bytes(2),
+        "block_log2": header.block.bit_length() - 1,
+        "method": METHODS[header.method].number,
+        "dtype": DTYPE_CODES[header.dtype],
+        "mesh": MESHES.index(header.mesh),
+        "numerator": header.quantum.numerator,
+        "denominator": header.quantum.denominator,
+    }
+    body = _LAYOUT.pack(*(values[name] for name in _FIELDS))
     return body + _CRC.pack(zlib.crc32(body))
 
 
@@ -337,15 +309,6 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     """Read and check the header at the start of `data` (FORMAT.md §4.1).
 
     `metadata` and `file_tables` of the result are empty: they lie outside these bytes.
-
-    Raises
-    ------
-    TruncatedStreamError
-        If `data` is shorter than the header.
-    CorruptStreamError
-        If the magic, the checksum or a field contradicts the format.
-    UnsupportedVersionError
-        If a version, feature, method, data type or reserved field is unknown.
     """
     if not data:
         raise TruncatedStreamError("found an empty file, expected a .twz file")
@@ -360,16 +323,15 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     (stored,) = _CRC.unpack_from(data, _LAYOUT.size)
     _check_version(data, stored)
     body = data[: _LAYOUT.size]
-    fields = _LAYOUT.unpack(body)
-    (_, _, reserved, size, features, file_size, n_rows, n_cols, block_log2, rings) = fields[:10]
-    (method, dtype, effort, mesh, padding, numerator, denominator, base) = fields[10:18]
-    (step, z_min, z_max, metadata_length, max_error, effective_bound, rho) = fields[18:25]
-    (metadata_crc, parameters_length, parameters_crc, top_page_length, mesh_tolerance) = fields[25:]
+    values = dict(zip(_FIELDS, _LAYOUT.unpack(body), strict=True))
+    method, dtype, mesh = (values.pop(name) for name in ("method", "dtype", "mesh"))
+    numerator, denominator = values.pop("numerator"), values.pop("denominator")
+    block_log2, size = values["block_log2"], values["header_size"]
     if size < HEADER_SIZE:
         raise CorruptStreamError(f"header size {size}, less than {HEADER_SIZE} (byte 10)")
     if stored != zlib.crc32(body):
         raise CorruptStreamError("checksum of the header does not match")
-    if reserved or padding != bytes(2):
+    if values["reserved"] or values["padding"] != bytes(2):
         raise UnsupportedVersionError(f"a reserved field of the header is not 0{NEWER}")
     if not MIN_BLOCK_LOG2 <= block_log2 <= MAX_BLOCK_LOG2:
         raise CorruptStreamError(f"log2 of the block size is {block_log2}, not 5 ... 10 (byte 32)")
@@ -385,32 +347,21 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     if math.gcd(numerator, denominator) != 1:
         raise CorruptStreamError(f"quantum {numerator}/{denominator} is not in lowest terms")
     header = Header(
-        n_rows=n_rows,
-        n_cols=n_cols,
         block=1 << block_log2,
-        border_rings=rings,
         method=_METHOD_NAMES[method],
         dtype=names[dtype],
-        effort=effort,
         quantum=Fraction(numerator, denominator),
-        base=base,
-        step=step,
-        z_min=z_min,
-        z_max=z_max,
-        max_error=max_error,
-        effective_bound=effective_bound,
-        rho=rho,
         mesh=MESHES[mesh],
-        mesh_tolerance=mesh_tolerance,
-        features=features,
+        **_of_class(Header, values),
     )
-    extents = Extents(
-        file_size, metadata_length, metadata_crc, parameters_length, parameters_crc,
-        top_page_length, size,
-    )  # fmt: skip
+    extents = Extents(**_of_class(Extents, values))
     for problem in _violations(header, extents):
         raise problem.error(problem.text)
     return header, extents
+
+
+def _of_class(kind: Any, values: dict[str, Any]) -> dict[str, Any]:
+    return {one.name: values[one.name] for one in fields(kind) if one.name in values}
 
 
 def _check_version(data: bytes, stored: int) -> None:
@@ -433,13 +384,7 @@ def _check_version(data: bytes, stored: int) -> None:
 
 
 def check_optional_sections(data: bytes) -> None:
-    """Check the sections at the end of a header, whose contents no reader needs (FORMAT.md §4.8).
-
-    Raises
-    ------
-    CorruptStreamError
-        If they do not fill `data`, a name is repeated, or a checksum does not match.
-    """
+    """Check the sections at the end of a header; no reader needs them (FORMAT.md §4.8)."""
     names, at = set[bytes](), 0
     while at < len(data):
         start = at + _SECTION.size
@@ -464,13 +409,6 @@ class _Violation:
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield violations of the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
-    yield from _violations_of_grid(header)
-    yield from _violations_of_features(header)
-    yield from _violations_of_sizes(header, extents)
-
-
-def _violations_of_grid(header: Header) -> Iterator[_Violation]:
-    """Yield violations in samples, method, quantum and bounds; unknown features."""
     unknown = header.features & ~KNOWN_FEATURES
     if unknown:
         yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
@@ -502,10 +440,11 @@ def _violations_of_grid(header: Header) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+    yield from _violations_of_features(header)
+    yield from _violations_of_sizes(header, extents)
 
 
 def _violations_of_features(header: Header) -> Iterator[_Violation]:
-    """Yield features that conflict with each other or with the method."""
     method = METHODS[header.method]
     for is_used, is_known, what in (
         (
@@ -534,7 +473,6 @@ def _violations_of_features(header: Header) -> Iterator[_Violation]:
 
 
 def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
-    """Yield violations in the tolerance of meshes and the sizes of sections."""
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:

@@ -27,13 +27,7 @@ _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
 def pack_metadata(metadata: dict[str, object]) -> bytes:
-    """Return the deflated bytes of `metadata`: sorted keys, so equal metadata give equal bytes.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it cannot be stored: not JSON, a known key with a wrong value, more than 1 MiB.
-    """
+    """Return the deflated bytes of `metadata`: sorted keys, so equal metadata give equal bytes."""
     try:
         text = json.dumps(
             metadata, sort_keys=True, ensure_ascii=False, allow_nan=False, separators=(",", ":")
@@ -53,13 +47,7 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
 
 
 def unpack_metadata(packed: bytes) -> dict[str, object]:
-    """Return the metadata in `packed`; unknown keys are kept unchanged.
-
-    Raises
-    ------
-    CorruptStreamError
-        If it is not one JSON object according to FORMAT.md §4.2.
-    """
+    """Return the metadata in `packed`; unknown keys are kept unchanged."""
     data = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
     try:
         text = data.decode("utf-8")

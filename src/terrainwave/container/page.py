@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain, pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE, NEWER
@@ -184,13 +184,7 @@ def pack_page(columns: bytes, first_child: int) -> bytes:
 
 
 def with_first_child(data: bytes, first_child: int) -> bytes:
-    """Return the bytes of a page with another `first_child`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the page is damaged.
-    """
+    """Return the bytes of a page with another `first_child`."""
     if len(data) < _MIN_PAGE or _PREFIX.unpack_from(data)[0] != zlib.crc32(data[4:]):
         raise CorruptStreamError("checksum of a stored page does not match")
     return pack_page(data[_PREFIX.size :], first_child)
@@ -200,11 +194,6 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
 
     Checks only the page itself, not the positions of its segments in the file.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the checksum, the number of bytes or a field contradicts the format.
     """
     if len(data) < _MIN_PAGE:
         raise CorruptStreamError(f"{name} has only {len(data)} bytes")
@@ -216,24 +205,20 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     content = inflate(data[_PREFIX.size :], expected, name)
     if len(content) != expected:
         raise CorruptStreamError(f"{name} inflates to {len(content)} bytes, not {expected}")
-    cursor = _Cursor(content)
-    payload_lengths = cursor.planes("<u4", n_keys)
-    mesh_lengths = cursor.planes("<u4", n_keys)
-    flags = cursor.planes("u1", n_keys)
-    codes = cursor.planes("u1", N_CODES * n_blocks).reshape(N_CODES, n_blocks).T
-    child_page_lengths = cursor.planes("<u4", n_children)
-    child_lengths = cursor.planes("<u8", n_children)
-    page = Page(
-        payload_lengths=payload_lengths,
-        payload_crcs=cursor.planes("<u4", n_keys),
-        mesh_lengths=mesh_lengths,
-        mesh_crcs=cursor.planes("<u4", n_keys),
-        flags=flags,
-        codes=np.ascontiguousarray(codes),
-        child_page_lengths=child_page_lengths,
-        child_lengths=child_lengths,
-        first_child=first_child,
-    )
+    columns, at = {}, 0
+    for column, dtype, count in (
+        ("payload_lengths", "<u4", n_keys), ("mesh_lengths", "<u4", n_keys),
+        ("flags", "u1", n_keys), ("codes", "u1", N_CODES * n_blocks),
+        ("child_page_lengths", "<u4", n_children), ("child_lengths", "<u8", n_children),
+        ("payload_crcs", "<u4", n_keys), ("mesh_crcs", "<u4", n_keys),
+    ):  # fmt: skip
+        width = np.dtype(dtype).itemsize
+        planes = np.frombuffer(content, np.uint8, width * count, at).reshape(width, count)
+        at += planes.size
+        numbers = np.ascontiguousarray(planes.T).view(dtype).reshape(count)
+        columns[column] = numbers.astype(np.dtype(dtype).newbyteorder("="))  # native
+    codes = columns.pop("codes").reshape(N_CODES, n_blocks).T
+    page = Page(codes=np.ascontiguousarray(codes), first_child=first_child, **columns)
     _check(page, name)
     return page
 
@@ -265,23 +250,6 @@ def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
     """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
     data = np.ascontiguousarray(column.astype(dtype))
     return data.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
-
-
-class _Cursor:
-    """Reader of the columns in a page's content."""
-
-    def __init__(self, content: bytes) -> None:
-        self._content = np.frombuffer(content, dtype=np.uint8)
-        self._byte_pos = 0
-
-    def planes(self, dtype: DTypeLike, count: int) -> NDArray[Any]:
-        """Return the next column of `count` numbers in native byte order (see `_pack_planes`)."""
-        width = np.dtype(dtype).itemsize
-        end = self._byte_pos + width * count
-        planes = self._content[self._byte_pos : end].reshape(width, count)
-        self._byte_pos = end
-        column = np.ascontiguousarray(planes.T).view(dtype).reshape(count)
-        return column.astype(np.dtype(dtype).newbyteorder("="))
 
 
 def describe_head(head: Block | None) -> str:

@@ -112,7 +112,6 @@ class Container:
 
     @property
     def _segments_end(self) -> int:
-        """Return the end of the segments; if digests follow, an upper limit."""
         return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
 
     def _unpack_top(self, data: bytes) -> Segment:
@@ -232,10 +231,7 @@ class Container:
     def payload(self, key: Block) -> bytes:
         """Return the payload of `key`.
 
-        Raises
-        ------
-        CorruptStreamError
-            If its checksum or an index page on the way to it is wrong.
+        Raises `CorruptStreamError` if its checksum or an index page on the way to it is wrong.
         """
         return self.payloads([key])[0]
 
@@ -357,13 +353,7 @@ class Container:
     # Digests
 
     def digests_place(self) -> ByteRange:
-        """Return the position of the digests at the file's end; of length 0 if it has none.
-
-        Raises
-        ------
-        CorruptStreamError
-            If they would overlap the segments.
-        """
+        """Return the position of the digests at the file's end; of length 0 if it has none."""
         size = self.extents.file_size
         if not self.header.has_digests:
             return ByteRange(size, 0)
@@ -375,10 +365,7 @@ class Container:
     def digests(self) -> DigestTree | None:
         """Return the digests of the file's heights; None if it has none.
 
-        Raises
-        ------
-        CorruptStreamError
-            If they are damaged.
+        Raises `CorruptStreamError` if they are damaged.
         """
         if not self.header.has_digests:
             return None
@@ -474,7 +461,6 @@ class Container:
 def _payload_places(
     heads: Mapping[Block, Block | None], known: Mapping[Block | None, Segment]
 ) -> dict[Block, ByteRange]:
-    """Return the positions of the payloads whose segments are known."""
     return {
         key: known[head].payload_range(known[head].layout.key_rows[key])
         for key, head in heads.items()
@@ -483,7 +469,6 @@ def _payload_places(
 
 
 def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
-    """Return `header` with the metadata and the method's tables, both checked."""
     metadata = start[extents.parameters_start - extents.metadata_length : extents.parameters_start]
     if zlib.crc32(metadata) != extents.metadata_crc:
         raise CorruptStreamError("checksum of the metadata does not match")

@@ -61,7 +61,6 @@ class _Extent(NamedTuple):
 
     @property
     def length(self) -> int:
-        """Return the bytes of page and body."""
         return self.page_length + self.body_length
 
 
@@ -261,7 +260,6 @@ def stored_places(
 
 
 def _is_void(head: Block, segments: Segments) -> bool:
-    """Return whether a segment is given as void."""
     return head in segments and segments[head] is None
 
 
@@ -273,7 +271,6 @@ def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
 
 
 def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:
-    """Return the position of a segment with stored page, payloads and meshes."""
     return StoredSegment(path, offset, part.page_length, part.page_length + part.sections_length)
 
 

@@ -31,8 +31,8 @@ from terrainwave.read.resample import RESAMPLING, resample
 if TYPE_CHECKING:
     from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
-    from terrainwave.read.levels import LevelReader
-    from terrainwave.read.native import Library, NativeFile
+    from terrainwave.read.native import Library
+    from terrainwave.read.window_reader import WindowReader
 
 DEFAULT_MAX_BYTES = 4 << 30
 # Heights in the dtype of the raster.
@@ -82,8 +82,8 @@ class TerrainFile(DescribedFile):
 
     def close(self) -> None:
         """Close the file and stop the threads."""
-        if "_levels" in self.__dict__:
-            self._levels.close()
+        if "_windows" in self.__dict__:
+            self._windows.close()
         super().close()
 
     @cached_property
@@ -95,15 +95,17 @@ class TerrainFile(DescribedFile):
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
-    def _levels(self) -> "LevelReader":
-        from terrainwave.read.levels import LevelReader
+    def _windows(self) -> "WindowReader":
+        from terrainwave.read.native import NativeFile
+        from terrainwave.read.window_reader import WindowReader
 
-        return LevelReader(
-            str(self.name),
-            self.header,
-            self.n_threads,
-            lambda: self.decoder,
-            self._native(),
+        library, native = self._library(), None
+        if library is not None:
+            native = NativeFile(
+                library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
+            )
+        return WindowReader(
+            str(self.name), self.header, self.n_threads, lambda: self.decoder, native
         )
 
     @property
@@ -122,17 +124,6 @@ class TerrainFile(DescribedFile):
 
         is_fit = self._may_be_native and not self.container.n_missing
         return native.installed() if is_fit and native.is_wanted() else None
-
-    def _native(self) -> "NativeFile | None":
-        """Return the reader with the native library; None if that is not used."""
-        from terrainwave.read import native
-
-        library = self._library()
-        if library is None:
-            return None
-        return native.NativeFile(
-            library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
-        )
 
     def info(self) -> Info:
         """Return a summary of the file, only from its header."""
@@ -204,7 +195,7 @@ class TerrainFile(DescribedFile):
         CorruptStreamError
             If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
-        on_error = self._settled(on_error)
+        on_error = self._checked_reading(on_error, voids)
         check_choice("resampling", resampling, RESAMPLING)
         check_flags(masked=masked)
         max_bytes = checked_whole("max_bytes", max_bytes, least=0)
@@ -214,16 +205,15 @@ class TerrainFile(DescribedFile):
                 raise InvalidArgumentError(
                     f"found `out_shape` {shown(out_shape)}, expected at least (1, 1)"
                 )
-        check_choice("voids", voids, VOIDS)
         asked = self.checked_window(window, bounds=bounds, level=level)
         index, region = asked.level, asked.region
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
             value = None if masked else self._raster.void_value
-            heights, void = self._levels.read(index, region, on_error, voids, void_value=value)
+            heights, void = self._windows.read(index, region, on_error, voids, void_value=value)
         else:
             heights, void = resample(
-                lambda shift, part: self._levels.read(index - shift, part, on_error, voids),
+                lambda shift, part: self._windows.read(index - shift, part, on_error, voids),
                 region,
                 out_shape,
                 resampling,
@@ -251,13 +241,13 @@ class TerrainFile(DescribedFile):
 
         For rasters whose voids are marked by a mask: their heights alone do not show voids.
         """
-        on_error = self._settled(on_error)
-        check_choice("voids", voids, VOIDS)
+        on_error = self._checked_reading(on_error, voids)
         asked = self.checked_window(window, level=level)
-        return self._filled(*self._levels.read(asked.level, asked.region, on_error, voids))
+        return self._filled(*self._windows.read(asked.level, asked.region, on_error, voids))
 
-    def _settled(self, on_error: str | None) -> str:
+    def _checked_reading(self, on_error: str | None, voids: str) -> str:
         """Return how to handle damage: as the read requests, else as the file was opened."""
+        check_choice("voids", voids, VOIDS)
         if on_error is None:
             return self.on_error
         check_choice("on_error", on_error, ON_ERROR)
@@ -270,15 +260,16 @@ class TerrainFile(DescribedFile):
         Each is ``(level, window, problem)``, with the window in samples of the level:
         ``(first_row, first_col, n_rows, n_cols)``.
         """
-        return self._levels.lost
+        return self._windows.lost
 
     def _filled(
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights with the void value in voids, and validity."""
-        if void is not None:
-            heights[void] = self._raster.void_value
-        return _with_valid(heights, void)
+        if void is None:
+            return heights, np.ones(heights.shape, dtype=np.bool_)
+        heights[void] = self._raster.void_value
+        return heights, ~void
 
     def read_early(
         self,
@@ -305,8 +296,7 @@ class TerrainFile(DescribedFile):
             If the file is not of method cdf53, the only one whose streams can be read in part, or
             if `quality` is out of range.
         """
-        on_error = self._settled(on_error)
-        check_choice("voids", voids, VOIDS)
+        on_error = self._checked_reading(on_error, voids)
         quality = checked_number("quality", quality, above=0)
         asked, method = self.checked_window(window, level=level), self.header.method
         if not METHODS[method].is_cuttable:
@@ -320,7 +310,7 @@ class TerrainFile(DescribedFile):
         decoder, payloads = early_decoder(
             self.container, asked.level, asked.region, quality, cache_bytes=self._cache_bytes
         )
-        found = self._levels.read(asked.level, asked.region, on_error, voids, decoder)
+        found = self._windows.read(asked.level, asked.region, on_error, voids, decoder)
         return EarlyHeights(*self._filled(*found), payloads.n_bytes)
 
     def sample(
@@ -410,7 +400,7 @@ class TerrainFile(DescribedFile):
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
         heights = np.full(len(rows), np.nan)
         if inside.any():
-            raw, is_void = self._levels.bilinear(level, rows[inside], cols[inside], voids)
+            raw, is_void = self._windows.bilinear(level, rows[inside], cols[inside], voids)
             physical = raw * self._raster.scale + self._raster.offset
             heights[inside] = np.where(is_void, np.nan, physical)
         return heights
@@ -475,10 +465,3 @@ class TerrainFile(DescribedFile):
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
-
-
-def _with_valid(
-    heights: NDArray[Any], void: NDArray[np.bool_] | None
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return heights and validity, from heights and voids."""
-    return heights, np.ones(heights.shape, dtype=np.bool_) if void is None else ~void

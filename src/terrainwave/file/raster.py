@@ -1,7 +1,6 @@
 """A .twz file as a raster source, like a GeoTIFF: for another bound, method, or mosaic."""
 
 import os
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.even import Even
 from terrainwave.raster_io.raster_info import stored_nodata
@@ -22,7 +22,7 @@ def raster_source(source: Any, **options: Any) -> RasterSource:
     return RasterSource(source, open_terrain=TerrainBackend, **options)
 
 
-class TerrainBackend:
+class TerrainBackend(RasterBackend):
     """A .twz file as a backend that reads decoded heights (`raster_io.backend`).
 
     Parameters
@@ -33,25 +33,21 @@ class TerrainBackend:
         False leaves out transform and CRS.
     """
 
-    is_file = True
-    undeclared: tuple[int | float, ...] = ()
-
     def __init__(self, source: Any, *, georeference: bool = True) -> None:
         self._owned = not isinstance(source, TerrainFile)
         terrain: TerrainFile = TerrainFile(source) if self._owned else source
         self._terrain = terrain
         info = self._info = terrain.raster_info
         self.name = str(terrain.name)
-        self.n_rows: int = terrain.shape[0]
-        self.n_cols: int = terrain.shape[1]
-        self.dtype: np.dtype[Any] = terrain.dtype
-        self.nodata: Any = info.nodata
+        self.n_rows, self.n_cols = terrain.shape
+        self.dtype = terrain.dtype
+        self.nodata = info.nodata
         side = 2 * terrain.grid.block
         self.block_shape = (side, side)
         self.is_lost = info.crs is None and tuple(info.transform) == IDENTITY
         self._is_placed = georeference and not self.is_lost
-        self.transform: tuple[float, ...] = tuple(info.transform) if self._is_placed else IDENTITY
-        self.crs: Any = info.rasterio_crs() if self._is_placed else None
+        self.transform = tuple(info.transform) if self._is_placed else IDENTITY
+        self.crs = info.rasterio_crs() if self._is_placed else None
         self.has_mask = info.mask_kind == "mask"
         self.told = Told(info.heights_are, "its metadata")
         if info.heights_are is None:
@@ -59,18 +55,7 @@ class TerrainBackend:
         bound = terrain.effective_error
         own = EarlierFile(os.path.basename(self.name), bound)
         files = (*earlier_files(terrain.header.metadata), own) if bound else ()
-        self.earlier: EarlierLoss | None = EarlierLoss(bound, files)
-
-    def notes(self) -> Iterator[str]:
-        return (f"{self.name}: {remark}" for remark in self.remarks())
-
-    def remarks(self) -> Iterator[str]:
-        """Yield the notes without the file's name: none."""
-        return iter(())
-
-    def asides(self) -> Iterator[str]:
-        """Yield notes that need no warning: none."""
-        return iter(())
+        self.earlier = EarlierLoss(bound, files)
 
     def tags(self) -> dict[str, Any]:
         info = self._info

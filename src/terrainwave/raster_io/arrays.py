@@ -9,10 +9,9 @@ import numpy as np
 from terrainwave.arguments import NodataChoice, is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import MARKS, Names, Told, told_by
 from terrainwave.place.units import is_length
-from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.labelled import layer_of, variable_of
 from terrainwave.raster_io.labelled.packing import packing_of
 from terrainwave.raster_io.labelled.voids import voids_of
@@ -20,15 +19,12 @@ from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undecla
 from terrainwave.raster_io.vrt.warped import remark_on_named
 
 
-class ArrayBackend:
+class ArrayBackend(RasterBackend):
     """A 2-D array in memory, or anything sliced like one."""
 
     is_file = False
-    earlier: EarlierLoss | None = None
-    # Plain numbers carry no metadata, and fit any file.
     told: Told | None = None
     name = "the array"
-    undeclared: tuple[int | float, ...] = ()
 
     def __init__(
         self,
@@ -54,14 +50,8 @@ class ArrayBackend:
         self.has_mask = np.ma.getmask(array) is not np.ma.nomask and self.dtype.kind != "f"
         self._tags = tags or {}
 
-    def notes(self) -> Iterator[str]:
-        return iter(())
-
     def tags(self) -> dict[str, Any]:
         return self._tags
-
-    def even(self, region: Region) -> None:
-        """Return None: an array has no index."""
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         part = self._array[row : row + n_rows, col : col + n_cols]
@@ -69,9 +59,6 @@ class ArrayBackend:
             part = part.values
         heights = np.array(np.ma.getdata(part), dtype=self.dtype, order="C", subok=False)
         return heights, ~np.ma.getmaskarray(part)
-
-    def close(self) -> None:
-        """Do nothing: the array belongs to the caller."""
 
 
 class LabelledBackend(ArrayBackend):
@@ -99,7 +86,8 @@ class LabelledBackend(ArrayBackend):
             "description": description,
             "band_tags": tuple((name, str(attrs[name])) for name in MARKS if name in attrs),
         }
-        names = Names(_text(variable.name), description, is_length(units))
+        name = None if variable.name is None else str(variable.name)
+        names = Names(name, description, is_length(units))
         self.told = told_by(attrs, names, layer.crs)
         chunks = getattr(layer.array, "chunks", None)
         super().__init__(
@@ -109,7 +97,8 @@ class LabelledBackend(ArrayBackend):
             block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
         self._notes = [*layer.notes, *packing.notes]
-        if not _is_loaded(variable):
+        # Values that are not in memory are read when they are computed.
+        if not getattr(getattr(variable, "variable", None), "_in_memory", True):
             windows = remark_on_named(variable.encoding.get("source"))
             self._notes += [] if windows is None else [windows]
         self._others: list[Any] = []
@@ -160,15 +149,6 @@ class LabelledBackend(ArrayBackend):
             )  # not as float32, which may be too narrow
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
-
-
-def _text(name: Any) -> str | None:
-    return None if name is None else str(name)
-
-
-def _is_loaded(array: Any) -> bool:
-    """Return True if the values of a DataArray are in memory, not read lazily."""
-    return bool(getattr(getattr(array, "variable", None), "_in_memory", True))
 
 
 def _came_from(array: Any) -> str | None:

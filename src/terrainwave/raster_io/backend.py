@@ -1,83 +1,80 @@
-"""`RasterBackend`: a raster of a mosaic; `Readers`: one raster in several threads."""
+"""`RasterBackend`: a raster behind a source; `Readers`: one raster in several threads."""
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
 
 
-class RasterBackend(Protocol):
-    """One band of a raster with a position: a dataset of GDAL, or a .twz file.
+class RasterBackend:
+    """One band of a raster: of a dataset of GDAL, a .twz file, an array, or a mosaic of these.
 
     `undeclared` are values that the raster declares void and that `nodata` turns into heights;
     `is_lost` is true if its position is unknown, `has_mask` if `read` finds voids without a nodata
-    value. `told` is its statement on the meaning of its numbers.
+    value. `told` is its statement on the meaning of its numbers; None: they fit any file.
+    `came_from` is the .twz file that an array names as its source.
     """
 
     name: str
     n_rows: int
     n_cols: int
     dtype: np.dtype[Any]
-    nodata: Any
-    undeclared: tuple[int | float, ...]
+    nodata: Any = None
+    undeclared: tuple[int | float, ...] = ()
     block_shape: tuple[int, int]
-    transform: tuple[float, ...]
-    crs: Any
-    is_file: bool
-    is_lost: bool
-    has_mask: bool
-    earlier: EarlierLoss | None
-    told: Told
+    transform: tuple[float, ...] = IDENTITY
+    crs: Any = None
+    is_file = True
+    is_lost = False
+    has_mask = False
+    earlier: EarlierLoss | None = None
+    told: Told | None
+    came_from: str | None = None
 
     def notes(self) -> Iterator[str]:
         """Yield notes on omissions and choices, one sentence each."""
+        return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
         """Yield the notes without the raster's name."""
+        return iter(())
 
     def asides(self) -> Iterator[str]:
-        """Yield notes that need no warning, one sentence each."""
+        """Yield notes that need no warning, one sentence each, without the raster's name."""
+        return iter(())
+
+    def named_asides(self) -> Iterator[str]:
+        return (f"{self.name}: {aside}" for aside in self.asides())
 
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not concern the heights."""
+        raise NotImplementedError
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return heights (a copy) and validity by the mask."""
+        """Return heights (a copy) and validity by the mask; for one thread at a time."""
+        raise NotImplementedError
 
-    def even(self, region: Region) -> Even | None:
+    def even(self, region: Region) -> Even | None:  # noqa: ARG002
         """Return the content of a region if the index gives it; None if only reading can tell."""
+        return None
 
-    def close(self) -> None: ...
+    def again(self) -> "RasterBackend | None":
+        """Return the raster opened again for another thread; None if the file may have changed."""
+        return None
 
-
-class Readable(Protocol):
-    """Reader of a raster for one thread at a time."""
-
-    def read(
-        self, row: int, col: int, n_rows: int, n_cols: int
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]: ...
-
-    def even(self, region: Region) -> Even | None: ...
-
-    def close(self) -> None: ...
-
-
-@runtime_checkable
-class Reopening(Readable, Protocol):
-    """Raster that can be opened again for another thread."""
-
-    def again(self) -> Readable | None:
-        """Return the raster opened again; None if the file may have changed."""
+    def close(self) -> None:
+        """Close the file, unless it belongs to the caller."""
 
 
 class Readers:
@@ -86,14 +83,14 @@ class Readers:
     If it cannot be opened again, threads take turns.
     """
 
-    def __init__(self, first: Readable) -> None:
+    def __init__(self, first: RasterBackend) -> None:
         self._first = first
         self._lock = threading.Lock()
-        self._others: list[Readable] = []
-        self._idle: list[Readable] = []
+        self._others: list[RasterBackend] = []
+        self._idle: list[RasterBackend] = []
 
     @contextmanager
-    def lent(self) -> Iterator[Readable]:
+    def lent(self) -> Iterator[RasterBackend]:
         """Yield a reader for the use of one thread."""
         other = None
         if not self._lock.acquire(blocking=False):
@@ -108,10 +105,10 @@ class Readers:
             else:
                 self._idle.append(other)
 
-    def _other(self) -> Readable | None:
+    def _other(self) -> RasterBackend | None:
         with suppress(IndexError):
             return self._idle.pop()
-        other = self._first.again() if isinstance(self._first, Reopening) else None
+        other = self._first.again()
         if other is not None:
             self._others.append(other)
         return other

@@ -32,7 +32,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.place.meaning import Names, Told, told_by
 from terrainwave.place.units import is_length
-from terrainwave.raster_io.earlier_loss import EarlierLoss
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.raster_info import undeclared_by
@@ -55,18 +55,29 @@ _FILTERING = threading.Lock()
 
 
 def open_dataset(path: str) -> Any:
-    """Open `path` with rasterio; turn each failure into one line with advice."""
-    local = Path(path)
-    is_local = "://" not in path and not path.startswith("/vsi")
-    if is_local and is_twz(local):
+    """Open `path` as `opened` does; refuse .twz files and those without a raster."""
+    if "://" not in path and not path.startswith("/vsi") and is_twz(path):
         raise InvalidHeightsError(
             f"{path} is already a terrainwave file; expected a raster such as a GeoTIFF"
             " (terrainwave decompress makes one of it)"
         )
+    dataset = opened(path)
+    if dataset.count == 0:
+        parts = ", ".join(dataset.subdatasets[:4])
+        dataset.close()
+        advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
+        raise InvalidHeightsError(f"{display_name(path)} has no raster band{advice}")
+    return dataset
+
+
+def opened(path: str) -> Any:
+    """Open `path` with rasterio; turn each failure into one line with advice."""
+    local = Path(path)
+    is_local = "://" not in path and not path.startswith("/vsi")
     try:
         with _FILTERING, bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
+            return rasterio.open(path)
     except UnicodeEncodeError as error:  # bytes of a name that are not text
         raise StorageError(
             f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
@@ -82,12 +93,6 @@ def open_dataset(path: str) -> Any:
         raise StorageError(
             f"{display_name(path)} is not a raster that GDAL can read: {problem}"
         ) from error
-    if dataset.count == 0:
-        parts = ", ".join(dataset.subdatasets[:4])
-        dataset.close()
-        advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
-        raise InvalidHeightsError(f"{display_name(path)} has no raster band{advice}")
-    return dataset
 
 
 def refuse_raster(target: str | os.PathLike[str]) -> None:
@@ -195,11 +200,10 @@ def told_of(dataset: Any, band: int) -> Told:
     return told_by(marks, names, format_crs(dataset.crs))
 
 
-class DatasetBackend:
+class DatasetBackend(RasterBackend):
     """A band of a rasterio dataset."""
 
-    is_file = True
-    earlier: EarlierLoss | None = None
+    told: Told
 
     def __init__(
         self,
@@ -253,9 +257,6 @@ class DatasetBackend:
         self._tags = select_tags(dataset.tags())
         self._band_tags = select_tags(dataset.tags(band))
         self.told = told_of(dataset, band)
-
-    def notes(self) -> Iterator[str]:
-        return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
         dataset, band = self._dataset, self._band

@@ -267,13 +267,7 @@ def is_tile_url(path: str) -> bool:
 
 
 def check_photo(path: str, *, crs: str | None, footprint: Footprint) -> None:
-    """Raise the errors of `texture_of` for this photo of a terrain now, without warping it.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        As `Photo`.
-    """
+    """Raise the errors of `texture_of` for this photo of a terrain now, without warping it."""
     Photo(path, crs=crs, affine=footprint.affine, shape=footprint.shape, plain_on=footprint).close()
 
 
@@ -306,11 +300,6 @@ def texture_of(
         A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG.
     kind : str
         ``image/png`` or ``image/jpeg``.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        As `Photo`, and if no part of it is over the area.
     """
     left, bottom, right, top = area
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)
@@ -331,7 +320,11 @@ def texture_of(
         )
     pixels = _opaque(pixels, color)
     try:
-        return _encoded(pixels)
+        lossy = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
+        if not _has_few_colors(pixels):
+            return lossy
+        exact = _as_file(pixels, driver="PNG"), "image/png"
+        return min(exact, lossy, key=lambda one: len(one[0]))
     except GDAL_ERRORS as error:
         raise StorageError(f"cannot write {path} as a texture: {one_line(error)}") from error
 
@@ -347,15 +340,6 @@ def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[n
             part[..., :3] * alpha + ground * (255 - alpha) + 127
         ) // 255
     return made
-
-
-def _encoded(pixels: NDArray[np.uint8]) -> tuple[bytes, str]:
-    """Return an RGB picture in the more suitable file format, and its media type."""
-    photo = _as_file(pixels, driver="JPEG", quality=_JPEG_QUALITY), "image/jpeg"
-    if not _has_few_colors(pixels):
-        return photo
-    drawn = _as_file(pixels, driver="PNG"), "image/png"
-    return min(drawn, photo, key=lambda one: len(one[0]))
 
 
 def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:

@@ -8,7 +8,7 @@ import copy
 import math
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from itertools import product
 from typing import Any, NamedTuple, Protocol
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from terrainwave.errors import TerrainwaveError
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.gdal import GDAL_ERRORS
+from terrainwave.raster_io.vrt import path_of, rectangles_of, text_of
 
 # Blocks of a GeoTIFF of which is kept whether they have bytes: one byte each.
 _MOST_BLOCKS = 1 << 25
 # A VRT of VRTs of VRTs is looked through, deeper ones are not.
 _MOST_NESTED = 3
-# Rows of the bands in which sources of a VRT are looked for, at least.
+# Rows of the bands in which places are looked for, at least.
 _BAND = 1024
 
 # Sources that change nothing outside of their place, and the elements of those that copy samples.
@@ -75,44 +76,54 @@ class StoredValues(Protocol):
         """Return the stored value of all samples of a region; None where only reading tells."""
 
 
-class Composite:
-    """Sources of a region in order: the last one that covers a sample counts."""
+class Layers:
+    """Places that lie over each other, in their order."""
 
-    def __init__(self, region: Region) -> None:
-        self._region = region
-        self._value: Any = None
-        self._parts: list[Region] = []
-        self._is_whole = False
+    def __init__(self, places: Sequence[Region]) -> None:
+        corners = np.array(places, dtype=np.int64).reshape(-1, 4)
+        self.first, self.last = corners[:, :2], corners[:, :2] + corners[:, 2:]
+        self._edges = np.vstack([np.arange(len(places)), self.first.T, self.last.T])
+        # Bands of the mean height: each place is in few of them.
+        self._band = max(_BAND, int(corners[:, 2].sum()) // max(len(places), 1))
+        self._near = cache(self._near_band)
 
-    def put(self, value: Any, place: Region) -> bool:
-        """Lay a value over a place; say whether all that lies there is of one value still."""
-        part = place.intersect(self._region)
-        if part == self._region:
-            self._value, self._parts, self._is_whole = value, [], True
-            return True
-        if self._value is None:
-            self._value = value
-        if not self._is_whole:
-            self._parts.append(part)
-        return is_same(self._value, value)
+    def touching(self, region: Region) -> list[int]:
+        """Return the numbers of the places that a region touches, in order."""
+        row, col, n_rows, n_cols = region
+        is_low = n_rows <= self._band
+        numbers, top, left, bottom, right = self._near(row // self._band) if is_low else self._edges
+        within_rows = (top < row + n_rows) & (bottom > row)
+        return numbers[within_rows & (left < col + n_cols) & (right > col)].tolist()
 
-    def value(self, base: Callable[[], Any]) -> Any:
-        """Return the value of all samples, `base` where nothing lies; None if there are several."""
-        if self._value is None:
-            return base()
-        if self._is_whole or covered_samples(self._parts, self._region) == _n_samples(self._region):
-            return self._value
-        return None
+    def _near_band(self, band: int) -> NDArray[np.int64]:
+        """Return edges of the places that regions beginning in a band, and as low, may touch."""
+        first, end = band * self._band, (band + 2) * self._band
+        return self._edges[:, (self._edges[1] < end) & (self._edges[3] > first)]
 
 
-def covered_samples(parts: Sequence[Region], region: Region) -> int:
-    """Return how many samples of a region lie in at least one of its parts, 0 if too few do.
+def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable[[], Any]) -> Any:
+    """Return the value of all samples of a region; `gap` where nothing lies, None if several do.
 
-    Too few to cover all of it.
+    `layers` are values, None where only reading tells, and their places; the last one counts.
     """
-    if sum(map(_n_samples, parts)) < _n_samples(region):
-        return 0
-    return samples_in(parts)
+    value, parts = None, list[Region]()
+    for above, place in layers:
+        part = place.intersect(region)
+        if above is None:
+            return None
+        if part == region:
+            value, parts = above, []
+        elif value is not None and not is_same(value, above):
+            return None
+        value = above
+        parts.append(part)
+    if value is None:
+        return gap()
+    if parts[0] == region:
+        return value
+    n_samples = region.n_rows * region.n_cols
+    is_enough = sum(one.n_rows * one.n_cols for one in parts) >= n_samples
+    return value if is_enough and samples_in(parts) == n_samples else None
 
 
 def samples_in(regions: Sequence[Region]) -> int:
@@ -125,10 +136,6 @@ def samples_in(regions: Sequence[Region]) -> int:
         cols = np.searchsorted(col_ends, (one.col, one.col + one.n_cols))
         is_covered[slice(*rows), slice(*cols)] = True
     return int(np.diff(row_ends) @ is_covered @ np.diff(col_ends))
-
-
-def _n_samples(region: Region) -> int:
-    return region.n_rows * region.n_cols
 
 
 def is_same(one: Any, other: Any) -> bool:
@@ -234,63 +241,34 @@ class VrtSources:
         self._value_of = cache(value_of)
         self._read_sample = read_sample
         self._fill: Any = None
-        places = np.array([one.place for one in sources], dtype=np.int64).reshape(-1, 4).T
-        self._edges = np.vstack([np.arange(len(sources)), places[:2], places[:2] + places[2:]])
-        # Bands of the mean height: each source is in few of them.
-        self._band = max(_BAND, int(places[2].sum()) // max(len(sources), 1))
-        self._edges_of = cache(self._edges_from)
+        self._layers = Layers([one.place for one in sources])
 
     def value(self, region: Region) -> Any:
         """Return the value of all samples of a region, as its sources lie over each other."""
-        composite = Composite(region)
-        for number in self._touching(region):
-            source = self._sources[number]
-            value = None if source.copies is None else self._value_of(*source.copies)
-            if value is None:
-                return None
-            if source.nodata is not None:
-                if _is_number(value, source.nodata):
+        return composed(region, self._values(region), lambda: self._value_of_gap(region))
+
+    def _values(self, region: Region) -> Iterator[tuple[Any, Region]]:
+        for number in self._layers.touching(region):
+            place, copies, nodata = self._sources[number]
+            value = None if copies is None else self._value_of(*copies)
+            if value is not None and nodata is not None:
+                found = float(value)
+                if found == nodata or (math.isnan(nodata) and math.isnan(found)):
                     continue
-                if _is_nearly(value, source.nodata):
-                    return None
-            if not composite.put(value, source.place):
-                return None
-        return composite.value(lambda: self._value_of_gap(region))
+                # GDAL compares floats with a tolerance.
+                if math.isclose(found, nodata, rel_tol=1e-5, abs_tol=1e-5):
+                    value = None
+            yield value, place
 
     def _value_of_gap(self, region: Region) -> Any:
         if self._fill is None:
             self._fill = self._read_sample(region.row, region.col)
         return self._fill
 
-    def _touching(self, region: Region) -> list[int]:
-        """Return the sources that a region touches, in their order."""
-        is_low = region.n_rows <= self._band
-        edges = self._edges_of(region.row // self._band) if is_low else self._edges
-        if not edges.size:
-            return []
-        numbers, top, left, bottom, right = edges
-        row, col, n_rows, n_cols = region
-        within_rows = (top < row + n_rows) & (bottom > row)
-        return numbers[within_rows & (left < col + n_cols) & (right > col)].tolist()
-
-    def _edges_from(self, band: int) -> NDArray[np.int64]:
-        """Return edges of the sources that regions beginning in a band, and as low, may touch."""
-        first, end = band * self._band, (band + 2) * self._band
-        return self._edges[:, (self._edges[1] < end) & (self._edges[3] > first)]
-
-
-def _is_nearly(value: Any, number: float) -> bool:
-    """Say whether GDAL, which compares floats with a tolerance, might take a value for a number."""
-    return math.isclose(float(value), number, rel_tol=1e-5, abs_tol=1e-5)
-
-
-def _is_number(value: Any, number: float) -> bool:
-    return float(value) == number or (math.isnan(number) and math.isnan(float(value)))
-
 
 def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
     """Return the sources of a band of a VRT; None if they may not be all that makes it."""
-    root = ET.fromstring("".join(dataset.tags(ns="xml:VRT").values()))
+    root = ET.fromstring(text_of(dataset))
     own = root.findall("VRTRasterBand")[band - 1 : band]
     sources = [one for each in own for one in each if one.tag.endswith("Source")]
     kinds = {root.get("subClass"), *(one.get("subClass") for one in own)}
@@ -304,11 +282,7 @@ def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
 
 def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
     """Return a source of a VRT that GDAL has written: all numbers are there, or no rectangle."""
-    rectangles = [
-        [float(rectangle.get(name, "nan")) for name in ("yOff", "xOff", "ySize", "xSize")]
-        for rectangle in map(element.find, ("SrcRect", "DstRect"))
-        if rectangle is not None
-    ]
+    rectangles = rectangles_of(element, math.nan)
     if len(rectangles) < 2 or min(rectangles[1][2:]) < 0:
         return _Source(whole)
     if all(number.is_integer() for rectangle in rectangles for number in rectangle):
@@ -317,8 +291,7 @@ def _source_of(element: ET.Element, folder: str, whole: Region) -> _Source:
         is_copy = source.shape == place.shape and place.intersect(whole) == place
         is_copy &= not {child.tag for child in element} - _COPIES and band.isdecimal()
         if is_copy and name is not None and min(source) >= 0:
-            is_relative = name.get("relativeToVRT") == "1"
-            path = os.path.join(folder if is_relative else "", name.text or "")
+            path = path_of(name, folder)
             nodata = element.findtext("NODATA")
             if os.path.isfile(path):
                 copies = path, int(band), source

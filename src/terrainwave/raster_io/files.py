@@ -11,12 +11,8 @@ from terrainwave.raster_io.dataset import is_twz, open_dataset
 def files_of(path: str) -> list[str]:
     """Return the files that GDAL reads a raster from, sorted; empty if it names none.
 
-    For a VRT this includes the files of its sources, recursively.
-
-    Raises
-    ------
-    TerrainwaveError
-        If it cannot be opened.
+    For a VRT this includes the files of its sources, recursively. Raises `TerrainwaveError` if it
+    cannot be opened.
     """
 
     def named(name: str) -> list[str]:
@@ -32,12 +28,7 @@ def stamps_of(src: Any) -> list[list[str | int]] | None:
     """Return names, sizes and times of the files that rasters are read from.
 
     For VRTs these include the files of their sources. None if a source is not a local file, such as
-    an array or a URL.
-
-    Raises
-    ------
-    TerrainwaveError
-        If one cannot be opened.
+    an array or a URL. Raises `TerrainwaveError` if one cannot be opened.
     """
     names: set[str] = set()
     for source in src if isinstance(src, list | tuple) else [src]:

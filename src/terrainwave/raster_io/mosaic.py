@@ -22,7 +22,7 @@ from terrainwave.place.position import longitude_turn
 from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.earlier_loss import EarlierLoss
-from terrainwave.raster_io.even import Composite, Even, samples_in
+from terrainwave.raster_io.even import Even, Layers, composed, samples_in
 from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags
@@ -38,6 +38,11 @@ _ALIKE = {
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
+# Attributes of a raster that are taken as they are.
+_ASKED = (
+    "name", "transform", "dtype", "undeclared", "has_mask", "block_shape", "crs", "is_lost",
+    "earlier", "told",
+)  # fmt: skip
 # Likely reason why a mosaic in degrees is nearly empty.
 _ACROSS = (
     ": they lie on both sides of 180 degrees (or of 0), so that their longitudes are a whole turn"
@@ -48,7 +53,7 @@ _ACROSS = (
 _WIDE = 1024
 
 
-class _Turn(NamedTuple):
+class Orientation(NamedTuple):
     """Orientation of a raster's rows and columns relative to another grid.
 
     First rows and columns are exchanged, then the order of rows and of columns is reversed.
@@ -59,13 +64,11 @@ class _Turn(NamedTuple):
     flip_cols: bool = False
 
     def of_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
-        """Return rows and columns of a turned raster."""
         return (shape[1], shape[0]) if self.swap else shape
 
     def of_transform(
         self, transform: tuple[float, ...], shape: tuple[int, int]
     ) -> tuple[float, ...]:
-        """Return the transform of a turned raster of `shape`."""
         a, b, c, d, e, f = transform
         n_rows, n_cols = self.of_shape(shape)
         if self.swap:
@@ -77,7 +80,6 @@ class _Turn(NamedTuple):
         return a, b, c, d, e, f
 
     def of_array(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Return a turned view of a raster's samples."""
         turned = array.T if self.swap else array
         return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
 
@@ -90,21 +92,7 @@ class _Turn(NamedTuple):
         return Region(row, col, *part.shape)
 
 
-_TURNS = tuple(_Turn(*turn) for turn in product((False, True), repeat=3))
-
-
-class _Member(NamedTuple):
-    """Raster of a mosaic: its position in the mosaic and its nodata."""
-
-    source: Any  # a path, or an open dataset or .twz file
-    name: str
-    region: Region
-    turn: _Turn
-    voids: tuple[int | float, ...]
-    undeclared: tuple[int | float, ...]
-    has_mask: bool
-    even: Even | None
-    told: Told
+ORIENTATIONS = tuple(Orientation(*turn) for turn in product((False, True), repeat=3))
 
 
 class _Description(NamedTuple):
@@ -126,17 +114,16 @@ class _Description(NamedTuple):
     earlier: EarlierLoss | None
     told: Told
     even: Even | None
-    turn: _Turn = _Turn()
+    turn: Orientation = Orientation()
 
     @property
     def unit(self) -> HeightUnit:
-        """Return the unit of the raster's heights."""
         return height_unit(self.tags["units"], self.tags["crs"])
 
     def on_grid_of(self, first: Self) -> Self:
         """Return the raster in the order of rows and columns of `first`, if possible."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
-        for turn in _TURNS:
+        for turn in ORIENTATIONS:
             transform = turn.of_transform(self.transform, self.shape)
             if _difference(first.transform, transform) * size <= _TOLERANCE * pixel:
                 return self._replace(
@@ -148,7 +135,16 @@ class _Description(NamedTuple):
         return self
 
 
-class MosaicBackend:
+class _Member(NamedTuple):
+    """Raster of a mosaic: its position in the mosaic, and the values that mark its voids."""
+
+    source: Any  # a path, or an open dataset or .twz file
+    about: _Description
+    region: Region
+    voids: tuple[int | float, ...]
+
+
+class MosaicBackend(RasterBackend):
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
     Rows and columns are ordered as in the first raster; rasters in another order (south first,
@@ -179,8 +175,6 @@ class MosaicBackend:
     The mosaic's nodata value is the first one declared. A valid height of another raster with that
     value is refused when it is read. Without any nodata value, whole numbers get a mask.
     """
-
-    is_file = True
 
     def __init__(
         self,
@@ -226,26 +220,13 @@ class MosaicBackend:
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
         self._tags, self._differing = _common(rasters, named)
-        self._members = [
-            _Member(
-                source,
-                one.name,
-                Region(row - top, col - left, *one.shape),
-                one.turn,
-                tuple(
-                    value
-                    for value in (one.nodata if nodata.keeps_declared else None, nodata.value)
-                    if value is not None and value == value
-                ),
-                one.undeclared,
-                one.has_mask,
-                one.even,
-                one.told,
-            )
-            for source, one, (row, col) in zip(sources, rasters, places)
-        ]
-        regions = np.array([member.region for member in self._members], dtype=np.int64)
-        self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
+        self._members = []
+        for source, one, (row, col) in zip(sources, rasters, places):
+            region = Region(row - top, col - left, *one.shape)
+            values = one.nodata if nodata.keeps_declared else None, nodata.value
+            voids = tuple(value for value in values if value is not None and value == value)
+            self._members.append(_Member(source, one, region, voids))
+        self._layers = Layers([member.region for member in self._members])
         self._notes = list(_gathered((one, one.remarks) for one in rasters))
         nameless = [one for one in rasters if one.unit.name is None]
         if nameless:
@@ -276,21 +257,12 @@ class MosaicBackend:
         if nodata is not None and backend.dtype.name in SUPPORTED_DTYPES:
             nodata, _ = fit_nodata(nodata, backend.dtype)
         return _Description(
-            name=backend.name,
+            **{name: getattr(backend, name) for name in _ASKED},
             shape=(backend.n_rows, backend.n_cols),
-            transform=backend.transform,
-            dtype=backend.dtype,
             nodata=nodata,
-            undeclared=backend.undeclared,
-            has_mask=backend.has_mask,
-            block_shape=backend.block_shape,
-            crs=backend.crs,
             tags=backend.tags(),
             remarks=tuple(backend.remarks()),
             asides=tuple(backend.asides()),
-            is_lost=backend.is_lost,
-            earlier=backend.earlier,
-            told=backend.told,
             even=backend.even(Region(0, 0, backend.n_rows, backend.n_cols)),
         )
 
@@ -305,11 +277,11 @@ class MosaicBackend:
         if self._differing:
             names = ", ".join(self._differing)
             yield f"{self.name}: dropped, as the rasters differ there: {names}"
-        turned = [member for member in self._members if member.turn != _Turn()]
+        turned = [one.about for one in self._members if one.about.turn != Orientation()]
         if turned:
             yield (
                 f"{_names(turned)}: rows or columns are stored in another order than in"
-                f" {self._members[0].name}; turned to its order"
+                f" {self._members[0].about.name}; turned to its order"
             )
         if self._has_gaps:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
@@ -325,13 +297,13 @@ class MosaicBackend:
         a, b, _, d, e, _ = self.transform
         if turn is None or b or d:
             return False
-        first, last = (corners[:, 1 - turn.axis] for corners in self._corners)
+        first, last = (ends[:, 1 - turn.axis] for ends in (self._layers.first, self._layers.last))
         start, end = int(first.min()), int(last.max())
         west = first + last < start + end
         moved = np.where(west, turn.length / abs((a, e)[turn.axis]), 0.0)
         return bool((last + moved).max() - (first + moved).min() < (end - start) / 2)
 
-    def asides(self) -> Iterator[str]:
+    def named_asides(self) -> Iterator[str]:
         yield from self._asides
 
     def tags(self) -> dict[str, Any]:
@@ -342,10 +314,7 @@ class MosaicBackend:
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights and validity; voids hold the nodata value, NaN or 0.
 
-        Raises
-        ------
-        InvalidHeightsError
-            If a valid height equals the nodata value.
+        Raises `InvalidHeightsError` if a valid height equals the nodata value.
         """
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
@@ -364,28 +333,25 @@ class MosaicBackend:
         for member in self._touching(window):
             part = member.region.intersect(window)
             samples, is_valid = self._read_member(member, part)
-            values = [stored_nodata(value, self.dtype) for value in member.undeclared]
+            values = [stored_nodata(value, self.dtype) for value in member.about.undeclared]
             found[part.slices_in(window)][is_valid] = np.isin(samples, values)[is_valid]
         return found
 
     def even(self, region: Region) -> Even | None:
         """Return the common content of a region: of a gap, or of rasters with one value."""
-        composite, is_any = Composite(region), False
+        gap = Even(self._void_value(), False)
+        value = composed(region, self._values(region), lambda: gap)
+        return value if value is None or value is gap else Even(value, True)
+
+    def _values(self, region: Region) -> Iterator[tuple[Any, Region]]:
         for member in self._touching(region):
-            if member.even is None:
-                return None
-            value = member.even.value
-            if not member.even.is_valid or self._is_void(value, *member.voids):
-                continue
-            if self._is_void(value, self.nodata):  # refused when read
-                return None
-            if not composite.put(value, member.region):
-                return None
-            is_any = True
-        if not is_any:
-            return Even(self._void_value(), False)
-        value = composite.value(lambda: None)
-        return None if value is None else Even(value, True)
+            even = member.about.even
+            if even is None:
+                yield None, member.region
+            elif even.is_valid and not self._is_void(even.value, *member.voids):
+                # A valid height that is the mosaic's nodata value is refused when read.
+                is_taken = self._is_void(even.value, self.nodata)
+                yield None if is_taken else even.value, member.region
 
     def _is_void(self, value: Any, *voids: int | float | None) -> bool:
         if self.dtype.kind == "f" and math.isnan(value):
@@ -394,13 +360,7 @@ class MosaicBackend:
         return any(bool(value == stored_nodata(void, self.dtype)) for void in known)
 
     def _touching(self, region: Region) -> Iterator[_Member]:
-        """Yield the rasters that a region touches, in their order."""
-        # Vectorised: there may be thousands.
-        first, last = self._corners
-        end = region.row + region.n_rows, region.col + region.n_cols
-        touching = (first < end) & (last > region[:2])
-        for number in np.flatnonzero(touching.all(axis=1)).tolist():
-            yield self._members[number]
+        return (self._members[number] for number in self._layers.touching(region))
 
     def _void_value(self) -> Any:
         if self.nodata is not None:
@@ -408,7 +368,7 @@ class MosaicBackend:
         return math.nan if self.dtype.kind == "f" else 0
 
     def _read_member(self, member: _Member, part: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        own, turn = member.region, member.turn
+        own, turn = member.region, member.about.turn
         place = part.row - own.row, part.col - own.col
         window = turn.before(Region(*place, *part.shape), own.shape)
         heights, valid = map(turn.of_array, self._backend(member.source).read(*window))
@@ -420,10 +380,11 @@ class MosaicBackend:
             taken = (heights == stored_nodata(self.nodata, self.dtype)) & valid
             if taken.any():
                 at_row, at_col = np.argwhere(taken)[0] + place
+                first = self._members[0].about.name
                 raise InvalidHeightsError(
-                    f"{member.name}: the height at row {at_row}, column {at_col} is"
-                    f" {self.nodata:g}, which marks voids in {self._members[0].name}: give the"
-                    " rasters one nodata value first, for example gdal_translate -a_nodata or"
+                    f"{member.about.name}: the height at row {at_row}, column {at_col} is"
+                    f" {self.nodata:g}, which marks voids in {first}: give the rasters one"
+                    " nodata value first, for example gdal_translate -a_nodata or"
                     " gdalwarp -dstnodata"
                 )
         return heights, valid
@@ -435,8 +396,8 @@ class MosaicBackend:
         for member in self._members:
             row, col, n_rows, n_cols = member.region
             yield (
-                member.name,
-                member.told,
+                member.about.name,
+                member.about.told,
                 (
                     self._read_member(member, part._replace(row=row + part.row, col=col + part.col))
                     for part in scan_windows(n_rows, n_cols, *self.block_shape, max_samples)
@@ -583,7 +544,6 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
 
 
 def _pixel(transform: tuple[float, ...]) -> float:
-    """Return the approximate size of a pixel."""
     a, b, _, d, e, _ = transform
     return max(abs(a), abs(b), abs(d), abs(e))
 

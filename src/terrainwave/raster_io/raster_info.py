@@ -89,7 +89,6 @@ class RasterInfo:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
         return self.n_rows, self.n_cols
 
     @property
@@ -101,7 +100,6 @@ class RasterInfo:
 
     @property
     def crs_name(self) -> str:
-        """Short name of the CRS."""
         return crs_name(self.crs)
 
     @property
@@ -172,54 +170,45 @@ class RasterInfo:
 
         The values may come from an untrusted file. A CRS that PROJ cannot parse is kept as a
         string: it must not prevent reading the heights, and `rasterio_crs` warns about it.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a required key is missing, or a value has the wrong type or range.
         """
         try:
-            return cls._from_plain(fields)
+            dtype = fields["dtype"]
+            if dtype not in SUPPORTED_DTYPES:
+                raise ValueError(f"dtype is {str(dtype)[:40]!r}")
+            mask_kind = fields.get("mask_kind", "none")
+            if mask_kind not in ("none", "nodata", "nan", "mask"):
+                raise ValueError(f"mask_kind is {str(mask_kind)[:40]!r}")
+            transform = tuple(_finite(value) for value in fields.get("transform", IDENTITY))
+            if len(transform) != 6:
+                raise ValueError(f"transform has {len(transform)} numbers, expected 6")
+            nodata = _number_from_plain(fields.get("nodata"))
+            if nodata is not None:
+                nodata, problem = fit_nodata(nodata, np.dtype(dtype))
+                if problem:
+                    raise ValueError(problem)
+            heights_are = fields.get("heights_are")
+            return cls(
+                n_rows=_positive(fields["n_rows"]),
+                n_cols=_positive(fields["n_cols"]),
+                dtype=dtype,
+                nodata=nodata,
+                crs=_optional_text(fields.get("crs")),
+                transform=transform,
+                units=_optional_text(fields.get("units")),
+                scale=_finite(fields.get("scale", 1.0)),
+                offset=_finite(fields.get("offset", 0.0)),
+                area_or_point=_optional_text(fields.get("area_or_point")),
+                description=_optional_text(fields.get("description")),
+                mask_kind=mask_kind,
+                tags=_tags(fields.get("tags")),
+                band_tags=_tags(fields.get("band_tags")),
+                color_interpretation=_optional_text(fields.get("color_interpretation")),
+                # Readers ignore unknown words (FORMAT.md §4.2).
+                heights_are=heights_are if heights_are in KINDS else None,
+                coordinate_epoch=_year(fields.get("coordinate_epoch")),
+            )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CorruptStreamError(f"the raster's metadata are damaged: {error!r}") from error
-
-    @classmethod
-    def _from_plain(cls, fields: dict[str, Any]) -> Self:
-        dtype = fields["dtype"]
-        if dtype not in SUPPORTED_DTYPES:
-            raise ValueError(f"dtype is {str(dtype)[:40]!r}")
-        mask_kind = fields.get("mask_kind", "none")
-        if mask_kind not in ("none", "nodata", "nan", "mask"):
-            raise ValueError(f"mask_kind is {str(mask_kind)[:40]!r}")
-        transform = tuple(_finite(value) for value in fields.get("transform", IDENTITY))
-        if len(transform) != 6:
-            raise ValueError(f"transform has {len(transform)} numbers, expected 6")
-        nodata = _number_from_plain(fields.get("nodata"))
-        if nodata is not None:
-            nodata, problem = fit_nodata(nodata, np.dtype(dtype))
-            if problem:
-                raise ValueError(problem)
-        heights_are = fields.get("heights_are")
-        return cls(
-            n_rows=_positive(fields["n_rows"]),
-            n_cols=_positive(fields["n_cols"]),
-            dtype=dtype,
-            nodata=nodata,
-            crs=_optional_text(fields.get("crs")),
-            transform=transform,
-            units=_optional_text(fields.get("units")),
-            scale=_finite(fields.get("scale", 1.0)),
-            offset=_finite(fields.get("offset", 0.0)),
-            area_or_point=_optional_text(fields.get("area_or_point")),
-            description=_optional_text(fields.get("description")),
-            mask_kind=mask_kind,
-            tags=_tags(fields.get("tags")),
-            band_tags=_tags(fields.get("band_tags")),
-            color_interpretation=_optional_text(fields.get("color_interpretation")),
-            # Readers ignore unknown words (FORMAT.md §4.2).
-            heights_are=heights_are if heights_are in KINDS else None,
-            coordinate_epoch=_year(fields.get("coordinate_epoch")),
-        )
 
 
 def _number_to_plain(value: int | float | None) -> int | float | str | None:

@@ -6,7 +6,6 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -115,7 +114,7 @@ class RasterSource:
         Name of the source in messages.
     notes : tuple of str
         Notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`, except
-        those of `_asides`.
+        its asides.
     n_bytes_read : int
         Bytes of heights read so far.
     told : Told or None
@@ -172,7 +171,7 @@ class RasterSource:
         except BaseException:
             self.close()
             raise
-        self.notes = (*notes, *self._asides())
+        self.notes = (*notes, *self._backend.named_asides())
         for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
@@ -244,17 +243,13 @@ class RasterSource:
         """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
 
         Reads the raster again if only a name suggests depths and some values are below 0, and the
-        rasters of a mosaic if some may have radii and others not.
+        rasters of a mosaic if some may have radii and others not. Raises `InvalidHeightsError` if
+        only some rasters of a mosaic have radii.
 
         Parameters
         ----------
         minimum, maximum : float
             Extremes of all valid heights, as stored.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If only some rasters of a mosaic have radii.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
@@ -277,17 +272,13 @@ class RasterSource:
     def settled(self, crs_text: str | None) -> Told | None:
         """Return the meaning of the numbers, told or else by their values; None without any.
 
-        Reads on while all values may be radii.
+        Reads on while all values may be radii. Raises `InvalidHeightsError` if only some rasters of
+        a mosaic have radii.
 
         Parameters
         ----------
         crs_text : str, optional
             The CRS of a raster that has none.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If only some rasters of a mosaic have radii.
         """
         crs_text = self.info.crs or crs_text
         if not self.is_asked:
@@ -320,14 +311,6 @@ class RasterSource:
             n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
         return 2 * n_below > n_valid
 
-    def _asides(self) -> Iterator[str]:
-        """Yield notes that need no warning."""
-        backend = self._backend
-        if isinstance(backend, DatasetBackend):
-            yield from (f"{self.name}: {aside}" for aside in backend.asides())
-        elif isinstance(backend, MosaicBackend):
-            yield from backend.asides()
-
     @property
     def earlier(self) -> EarlierLoss | None:
         """Return the earlier loss of heights from .twz files, the largest of several; else None."""
@@ -336,7 +319,7 @@ class RasterSource:
     @property
     def came_from(self) -> str | None:
         """Return the .twz file that an array names as its source, if any."""
-        return self._backend.came_from if isinstance(self._backend, LabelledBackend) else None
+        return self._backend.came_from
 
     @property
     def is_file(self) -> bool:
@@ -352,19 +335,15 @@ class RasterSource:
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
 
+        Raises `InvalidHeightsError` if a valid sample is infinite. Raises `StorageError` if the
+        source cannot be read there.
+
         Returns
         -------
         heights : ndarray of the source's dtype, shape (n_rows, n_cols)
             A writable copy; void samples hold the source's values.
         valid : ndarray of bool, shape (n_rows, n_cols)
             False where the sample is void.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If a valid sample is infinite.
-        StorageError
-            If the source cannot be read there.
         """
         info = self.info
         if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
@@ -480,12 +459,7 @@ class RasterSource:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -532,14 +506,8 @@ class _Opening:
     open_terrain: OpenTerrain | None
     heights_are: str | None
 
-    def backend(self, source: Any) -> RasterBackend | MosaicBackend | ArrayBackend:
-        """Open the source.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If its type is not supported.
-        """
+    def backend(self, source: Any) -> RasterBackend:
+        """Open the source."""
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
                 if not self.georeference:

@@ -98,10 +98,7 @@ class Spool:
     def read(self, region: Region) -> NDArray[Any]:
         """Return a copy of the samples of `region`.
 
-        Raises
-        ------
-        ValueError
-            If `region` does not lie inside the array.
+        Raises `ValueError` if `region` does not lie inside the array.
         """
         if self._memory is not None:
             return self.view(region).copy()
@@ -119,10 +116,7 @@ class Spool:
     def view(self, region: Region) -> NDArray[Any]:
         """Return the samples of `region`, read-only; not copied if they are in memory.
 
-        Raises
-        ------
-        ValueError
-            If `region` does not lie inside the array.
+        Raises `ValueError` if `region` does not lie inside the array.
         """
         if self._memory is None:
             return self.read(region)
@@ -213,7 +207,6 @@ class Spool:
         ]
 
     def _offset(self, at: tuple[int, int]) -> int:
-        """Return the offset of a tile in the file."""
         if self.is_kept:
             number = (at[0] * self._states.shape[1] + at[1]) * self.dtype.itemsize
         else:
@@ -230,7 +223,6 @@ class Spool:
         return self._samples(at, data, n_bytes, np.s_[:, :])
 
     def _read_tile(self, at: tuple[int, int], part: tuple[slice, slice]) -> NDArray[Any]:
-        """Return samples of a tile that is in the file."""
         n_bytes = int(self._states[at])
         if hasattr(os, "pread"):
             data = os.pread(self._file.fileno(), TILE * TILE * n_bytes, self._offset(at))

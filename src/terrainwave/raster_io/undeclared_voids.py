@@ -61,11 +61,6 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
     ----------
     minimum, maximum : float
         Extremes of all valid heights, as stored.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an extreme is far beyond any height.
     """
     ends = dict.fromkeys((minimum, maximum))
     for end in ends:

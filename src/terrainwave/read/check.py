@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import ANY
 from terrainwave.codec.refiner import ALL_VALID, Decoded
 from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.read.coded import Content, EvenBlocks
-from terrainwave.read.decoder import TreeDecoder, unit_name
+from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
 from terrainwave.read.window_reader import WindowReader, exact_heights
 
 
@@ -26,15 +27,12 @@ def check_units(
     share of each level, if any.
     """
     yield from container.check()
-    even, lost, sound = EvenBlocks(container, decoder), list[Block](), set[Content]()
-    seams = _Seams(decoder, even)
-    has_digests = root is not None or container.header.has_digests
-    digests = _Digests(container, decoder, even) if has_digests else None
+    walk = _Walk(container, decoder, root)
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, seams, even, digests, key, lost, sound)
-    if digests is not None and not lost:
-        yield from digests.problems(root)
-    yield from _shares(container.grid, lost)
+        yield from walk.problems_below(key)
+    if walk.digests is not None and not walk.lost:
+        yield from walk.digests.problems(root)
+    yield from _shares(container.grid, walk.lost)
 
 
 def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
@@ -53,47 +51,58 @@ def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
             yield f"level {level}: {share:.3g} % of the samples cannot be read"
 
 
-def _check_below(
-    container: Container,
-    decoder: TreeDecoder,
-    seams: "_Seams",
-    even: EvenBlocks,
-    digests: "_Digests | None",
-    key: Block,
-    lost: list[Block],
-    sound: set[Content],
-) -> Iterator[str]:
-    """Check a unit and all below it; `sound` are the segments without problems."""
-    try:
-        content = None if key.is_root_key else even.content(key)
-        if content in sound and _is_beside(even, key, sound):
-            if digests is not None and content is not None:
-                digests.repeat(key, content)
-            return
-        if even.of_unit(key) is None:
-            _check_heights(container, decoder.unit(key))
-    except CorruptStreamError as exc:
-        lost.append(key)
-        yield str(exc)
-        return  # nothing below can be decoded either
-    if digests is not None and content is not None:
-        digests.begin()
-    problems = list(seams.differences(key))
-    for block in container.grid.key_blocks(key):
-        if block.level == container.grid.k_max:
-            continue
-        if _is_absent(container, decoder, block):
-            problems += seams.differences_of_absent(container, block)
-        else:
-            problems += _check_below(container, decoder, seams, even, digests, block, lost, sound)
-    if digests is not None:
-        digests.take(key)
-    if content is not None:
+class _Walk:
+    """Walk over the units of a file, those above first."""
+
+    def __init__(self, container: Container, decoder: TreeDecoder, root: str | None) -> None:
+        self._container, self._decoder = container, decoder
+        self._even = EvenBlocks(container, decoder)
+        self._seams = _Seams(decoder, self._even)
+        self._sound: set[Content] = set()  # segments without problems
+        self.lost: list[Block] = []
+        has_digests = root is not None or container.header.has_digests
+        self.digests = _Digests(container, decoder, self._even) if has_digests else None
+
+    def problems_below(self, key: Block) -> Iterator[str]:
+        """Check a unit and all below it."""
+        even, digests, grid = self._even, self.digests, self._container.grid
+        try:
+            content = None if key.is_root_key else even.content(key)
+            if content in self._sound and self._is_beside_sound(key):
+                if digests is not None and content is not None:
+                    digests.repeat(key, content)
+                return
+            if even.of_unit(key) is None:
+                unit = self._decoder.unit(key)
+                if unit.remainders is not None:  # heights that are not finite (FORMAT.md §5.3)
+                    exact_heights(self._container.header.quantizer, unit)
+        except CorruptStreamError as exc:
+            self.lost.append(key)
+            yield str(exc)
+            return  # nothing below can be decoded either
+        if digests is not None and content is not None:
+            digests.begin()
+        problems = list(self._seams.differences(key))
+        for block in grid.key_blocks(key):
+            if block.level == grid.k_max:
+                continue
+            if _is_absent(self._container, self._decoder, block):
+                problems += self._seams.differences_of_absent(self._container, block)
+            else:
+                problems += self.problems_below(block)
         if digests is not None:
-            digests.learn(key, content)
-        if not problems:
-            sound.add(content)
-    yield from problems
+            digests.take(key)
+        if content is not None:
+            if digests is not None:
+                digests.learn(key, content)
+            if not problems:
+                self._sound.add(content)
+        yield from problems
+
+    def _is_beside_sound(self, head: Block) -> bool:
+        """Return whether the segments before one, with which it shares samples, are sound."""
+        before = (head._replace(row=head.row - 1), head._replace(col=head.col - 1))
+        return all(self._even.content(one) in self._sound for one in before)
 
 
 class _Digests:
@@ -105,7 +114,7 @@ class _Digests:
         self._even = even
         header, self._grid = container.header, container.grid
         self._tiles = TileDigests((header.n_rows, header.n_cols))
-        self._windows = WindowReader("", self._grid, header.quantizer, 1)
+        self._windows = WindowReader("", header, 1, lambda: decoder)
         # Tiles of the current segment, and of segments by their content.
         self._recent: dict[Place, bytes] | None = None
         self._known: dict[Content, dict[Place, bytes]] = {}
@@ -131,11 +140,11 @@ class _Digests:
         level = self._grid.k_max
         height = self._even.of_unit(key)
         if height is not None:
-            units = self._decoder.keys(level, region)
+            units = units_of(self._grid, level, region)
             if all(self._even.of_unit(unit) == height for unit in units):
                 raw = self._container.header.quantizer.dequantize(np.array([[height]], np.int32))
                 return np.broadcast_to(raw, region.shape), np.ones(region.shape, np.bool_)
-        raw, void = self._windows.read(self._decoder, level, region, is_own=False)
+        raw, void = self._windows.read(level, region, voids=ANY)
         return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
 
     def begin(self) -> None:
@@ -184,18 +193,6 @@ def _tiles_ending_in(index: int, n_samples: int, side: int, n_units: int) -> Ite
         end = min((tile + 1) * TILE, n_samples) - 1
         if min(end // side, n_units - 1) == index:
             yield tile
-
-
-def _check_heights(container: Container, unit: Decoded) -> None:
-    """Raise if remainders give a height that is not finite (FORMAT.md §5.3)."""
-    if unit.remainders is not None:
-        exact_heights(container.header.quantizer, unit)
-
-
-def _is_beside(even: EvenBlocks, head: Block, sound: set[Content]) -> bool:
-    """Return whether the segments before one, with which it shares samples, equal it."""
-    before = (head._replace(row=head.row - 1), head._replace(col=head.col - 1))
-    return all(even.content(one) in sound for one in before)
 
 
 class _Seams:
@@ -286,6 +283,6 @@ def _is_absent(container: Container, decoder: TreeDecoder, block: Block) -> bool
     try:
         if not container.segment(block).page.is_empty:
             return False
-        return decoder.source.are_apart or not decoder.unit(block).mask.any()
+        return decoder.are_apart or not decoder.unit(block).mask.any()
     except CorruptStreamError:
         return False  # its units will report it

@@ -42,7 +42,7 @@ class EvenBlocks:
     def __init__(self, container: Container, decoder: TreeDecoder) -> None:
         self._container = container
         self._decoder = decoder
-        self._are_apart = decoder.source.are_apart
+        self._are_apart = decoder.are_apart
         # By a unit's level, the height above it and its payload; False if it has several heights.
         self._known: Cache[tuple[int, tuple[int, int], int, bytes], int | bool] = Cache(_MOST_KNOWN)
         self._heights: Cache[Block, int | bool] = Cache(_MOST_KNOWN)

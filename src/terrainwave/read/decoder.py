@@ -1,7 +1,7 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,68 +34,42 @@ RowsOf = Mapping[Block, Rows]
 WHOLE: RowsOf = {}
 
 
-class UnitSource(Protocol):
-    """Source of the units of a `TreeDecoder`.
+class TreeDecoder:
+    """Decoded units of a file, by key, kept as far as a cache has room.
 
-    `are_apart` says that one unit can be decoded, and forgotten, without work for others;
-    `has_parts` that rows of one can be decoded without the others.
-    """
-
-    are_apart: bool
-    has_parts: bool
-
-    def prefetch(
-        self, units: "TreeDecoder", keys: Sequence[Block], rows: RowsOf = WHOLE
-    ) -> list[Block]:
-        """Fetch the payloads of units that are not at hand; return these (`TreeDecoder`)."""
-        ...
-
-    def rows_above(self, units: "TreeDecoder", key: Block, rows: Rows) -> Rows:
-        """Return which rows of its parent heights a unit needs for some of its own."""
-        ...
-
-    def decode(
-        self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None
-    ) -> Decoded:
-        """Decode a unit, or some rows of it; `units` has those above it. See `decode_unit`."""
-        ...
-
-
-class Groups:
-    """Units that have a payload each, to be decoded with the block above them.
-
-    Parameters
-    ----------
-    decode : callable
-        Decodes a payload: of the unit of a spec, below a block, None for a root block. Its last
-        arguments are which rows are enough, and where raw heights may go.
-    rows_above : callable, optional
-        Returns which rows of a block it takes to decode some rows of a payload below; without it
-        all units are decoded whole.
+    Each unit has a payload, and is decoded with the block above it. `are_apart` says that one unit
+    can be decoded, and forgotten, without work for others.
     """
 
     are_apart = True
 
     def __init__(
         self,
+        grid: Grid,
+        parameters: CodecParameters,
+        refiner: Refiner | None,
         payloads: Payloads,
-        decode: Callable[[GroupSpec, Decoded | None, bytes, Rows, Raw | None], Decoded],
-        *,
-        rows_above: Callable[[GroupSpec, bytes, Rows], Rows] | None = None,
+        cache_bytes: int,
     ) -> None:
+        self.grid = grid
+        self._parameters = parameters
+        self._refiner: Any = refiner
+        # Whether rows of a unit can be decoded without the others.
+        self._has_parts = refiner is not None and as_direct(refiner) is not None
         self._fetched = FetchedPayloads(payloads)
-        self._decode = decode
-        self._rows_above = rows_above
-        self.has_parts = rows_above is not None
+        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
+        self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
-    def prefetch(
-        self, units: "TreeDecoder", keys: Sequence[Block], rows: RowsOf = WHOLE
-    ) -> list[Block]:
-        """Fetch the payloads of units that are not at hand (`TreeDecoder.prefetch`)."""
+    def prefetch(self, keys: Sequence[Block], rows: RowsOf = WHOLE) -> list[Block]:
+        """Fetch the payloads that decoding `keys`, or some rows of them, will need, in one call.
+
+        Returns the units that are not at hand, of the keys and all above them, each after those
+        above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
+        """
         missing: dict[Block, None] = {}
         for key in keys:
             chain = []
-            while key not in missing and units.is_wanting(key, rows.get(key, ALL_ROWS)):
+            while key not in missing and self._is_wanting(key, rows.get(key, ALL_ROWS)):
                 chain.append(key)
                 if key.is_root_key:
                     break
@@ -104,66 +78,28 @@ class Groups:
         self._fetched.fetch(list(missing))
         return list(missing)
 
-    def rows_above(self, units: "TreeDecoder", key: Block, rows: Rows) -> Rows:
-        """Return which rows of its parent heights a unit needs; all if its payload is not here."""
-        payload = self._fetched.peek(key)
-        if payload is None or self._rows_above is None:
-            return ALL_ROWS
-        try:
-            return self._rows_above(units.spec(key), payload, rows)
-        except CorruptStreamError:  # which `decode` reports
-            return ALL_ROWS
+    def _decode(self, key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None) -> Decoded:
+        """Decode a unit, or some rows of it. See `codec.group.decode_unit`."""
+        from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
 
-    def decode(
-        self, units: "TreeDecoder", key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None
-    ) -> Decoded:
-        """Decode a unit, or some rows of it. See `decode_unit`."""
-        parent = None if key.is_root_key else units.block(key, rows)
-        spec = units.spec(key)
-        payload = self._fetched.take(key)
+        parent = None if key.is_root_key else self.block(key, rows)
+        spec, payload = self.spec(key), self._fetched.take(key)
         try:
-            return self._decode(spec, parent, payload, rows.get(key, ALL_ROWS), raw)
+            return decode_unit(self._refiner, spec, parent, payload, rows.get(key, ALL_ROWS), raw)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
-
-def groups_by(refiner: Refiner, payloads: Payloads) -> Groups:
-    """Return the units that a refiner decodes."""
-
-    def decode(
-        spec: GroupSpec, parent: Decoded | None, payload: bytes, rows: Rows, raw: Raw | None
-    ) -> Decoded:
-        from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
-
-        return decode_unit(refiner, spec, parent, payload, rows, raw)
-
-    def above(spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
+    def _rows_above(self, key: Block, rows: Rows) -> Rows:
+        """Return which rows of its parent heights a unit needs; all if its payload is not here."""
+        payload = self._fetched.peek(key)
+        if payload is None or rows == ALL_ROWS:
+            return ALL_ROWS
         from terrainwave.codec.group import rows_above
 
-        return rows_above(refiner, spec, payload, rows)
-
-    return Groups(payloads, decode, rows_above=None if as_direct(refiner) is None else above)
-
-
-class TreeDecoder:
-    """Decoded units of a file, by key, kept as far as a cache has room."""
-
-    def __init__(
-        self, grid: Grid, parameters: CodecParameters, source: UnitSource, cache_bytes: int
-    ) -> None:
-        self.grid = grid
-        self.source = source
-        self._parameters = parameters
-        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
-        self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
-
-    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
-        """Fetch the payloads that decoding `keys` will need, in one call.
-
-        Returns the units that are not at hand, of the keys and all above them, each after those
-        above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
-        """
-        return self.source.prefetch(self, keys)
+        try:
+            return rows_above(self._refiner, self.spec(key), payload, rows)
+        except CorruptStreamError:  # which `_decode` reports
+            return ALL_ROWS
 
     def prefetch_for(self, keys: Sequence[Block], region: Region) -> tuple[list[Block], RowsOf]:
         """Do as `prefetch` for a region of their level; also return which rows of units are enough.
@@ -172,11 +108,11 @@ class TreeDecoder:
         too. A unit with most rows wanted is decoded to its end, which is checked there.
         """
         wanted: dict[Block, Rows] = {}
-        if self.source.has_parts:
+        if self._has_parts:
             wanted = {key: self._rows_in(key, region) for key in keys}
             if all(rows == ALL_ROWS for rows in wanted.values()):
                 wanted = {}
-        needed = self.source.prefetch(self, keys, wanted)
+        needed = self.prefetch(keys, wanted)
         # Those of a level before those above it; also of units that are at hand, because what
         # other threads read may take their place in the cache.
         for level in range(max((key.level for key in wanted), default=-2), -2, -1):
@@ -190,7 +126,7 @@ class TreeDecoder:
         outer = self.spec(key).parent_region
         if outer is None:
             return
-        above = ALL_ROWS if rows == ALL_ROWS else self.source.rows_above(self, key, rows)
+        above = self._rows_above(key, rows)
         parent = unit_key(key)
         first = outer.row - self.spec(parent).region.row
         other = wanted.get(parent, Rows(ALL_ROWS.end, 0))
@@ -220,17 +156,15 @@ class TreeDecoder:
         end = min(rows.end, self.spec(key).region.n_rows)
         return unit.rows.first <= rows.first and end <= unit.rows.end
 
-    def is_wanting(self, key: Block, rows: Rows = ALL_ROWS) -> bool:
+    def _is_wanting(self, key: Block, rows: Rows) -> bool:
         """Say whether rows of a unit are neither here nor being decoded by another thread."""
         return not self._is_here(key, rows) and not self._cache.is_coming(key)
 
     def unit(self, key: Block, rows: RowsOf = WHOLE) -> Decoded:
         """Return the decoded unit `key`, or some rows of it; what is above is decoded as needed.
 
-        Raises
-        ------
-        CorruptStreamError
-            If its payload or one above it is damaged; the message names the unit.
+        Raises `CorruptStreamError` if its payload or one above it is damaged; the message names the
+        unit.
         """
         own = rows.get(key, ALL_ROWS)
         found = self._cache.get(key)
@@ -242,7 +176,7 @@ class TreeDecoder:
         # Ancestors never wait for descendants.
         return self._cache.get_or_make(
             key,
-            lambda: self.source.decode(self, key, rows),
+            lambda: self._decode(key, rows),
             lambda unit: self._has_rows(key, unit, own),
         )
 
@@ -251,12 +185,7 @@ class TreeDecoder:
         self._cache.put(key, unit)
 
     def spec(self, key: Block) -> GroupSpec:
-        """Return the spec of a unit."""
         return self._specs.get_or_make(key, lambda: unit_spec(self.grid, self._parameters, key))
-
-    def keys(self, level: int, region: Region) -> list[Block]:
-        """Return the keys of the units that hold a region of a level, in Morton order."""
-        return units_of(self.grid, level, region)
 
     def part(
         self, key: Block, region: Region, rows: RowsOf = WHOLE
@@ -266,7 +195,9 @@ class TreeDecoder:
         The arrays are views.
         """
         spec = self.spec(key)
-        return _part(self.unit(key, rows), spec, spec.core.intersect(region), region)
+        common = spec.core.intersect(region)
+        here = common.slices_in(spec.region)
+        return common.slices_in(region), self.unit(key, rows).part(here)
 
     def shared(self, key: Block, other: Block) -> Decoded:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
@@ -289,21 +220,21 @@ class TreeDecoder:
         here = spec.core.intersect(region)
         n_rows, n_cols = spec.core.shape
         is_all = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
-        if not is_all or not self.source.are_apart or self._cache.get(key) is not None:
+        if not is_all or not self.are_apart or self._cache.get(key) is not None:
             return self.part(key, region, rows)
         there, raw = here.slices_in(region), None
         if out is not None and (here.row, here.col) == (spec.region.row, spec.region.col):
             raw = Raw(out.heights[there], out.base)
-        unit = self.source.decode(self, key, rows, raw)
+        unit, part = self._decode(key, rows, raw), here.slices_in(spec.region)
         if unit.is_raw:
-            return there, unit._replace(validity=unit.validity.part(here.slices_in(spec.region)))
-        return _part(unit, spec, here, region)
+            return there, unit._replace(validity=unit.validity.part(part))
+        return there, unit.part(part)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
         heights = np.zeros(region.shape, dtype=np.int32)
         mask = np.zeros(region.shape, dtype=np.bool_)
-        keys = self.keys(level, region)
+        keys = units_of(self.grid, level, region)
         self.prefetch(keys)
         for key in keys:
             there, unit = self.part(key, region)
@@ -356,13 +287,6 @@ def _n_bytes(unit: Decoded) -> int:
     return unit.nbytes + max(n_bytes - unit.heights.nbytes, 0)
 
 
-def _part(
-    unit: Decoded, spec: GroupSpec, common: Region, region: Region
-) -> tuple[tuple[slice, slice], Decoded]:
-    """Return where the part `common` of a unit lies in a region, and views of it."""
-    return common.slices_in(region), unit.part(common.slices_in(spec.region))
-
-
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:
     """Return the keys of the units that hold a region of a level, in Morton order."""
     side = grid.block if level == 0 else 2 * grid.block
@@ -381,12 +305,10 @@ def units_of(grid: Grid, level: int, region: Region) -> list[Block]:
 
 
 def unit_key(block: Block) -> Block:
-    """Return the key of the unit that holds `block`."""
     return Block(-1, block.row, block.col) if block.level == 0 else block.parent
 
 
 def unit_name(key: Block) -> str:
-    """Name the unit for messages."""
     if key.is_root_key:
         return f"root block (row {key.row}, column {key.col})"
     return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

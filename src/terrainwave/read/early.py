@@ -1,6 +1,6 @@
 """Partial reading of cdf53 files: choice of bytes per tile (format-cdf53.md, C.7)."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from terrainwave.codec.cdf53.refiner import (
@@ -66,8 +66,14 @@ class EarlyPayloads:
         self._layout = TileLayout(container.grid, container.header.has_voids)
         self.n_bytes = 0
         parts = self._read_heads(self._tiles_above(keys))
-        position = _search(parts.values(), max_bytes)
-        self._payloads = self._read_rest(parts, position)
+        coarsest = max((one.head.n_planes + one.n_below for one in parts.values()), default=0)
+        position = finest_position(
+            lambda position: sum(one.n_bytes(position) for one in parts.values()),
+            float(coarsest),
+            max_bytes,
+        )
+        self._payloads = {key: part.start for key, part in parts.items()}
+        self._read_on(self._payloads, {key: part.n_bytes(position) for key, part in parts.items()})
 
     def __call__(self, keys: Sequence[Block]) -> list[bytes]:
         """Return the bytes read of the payloads of `keys`; empty if none were read."""
@@ -110,11 +116,6 @@ class EarlyPayloads:
             n_first *= 4
         return parts
 
-    def _read_rest(self, parts: dict[Block, _Begun], position: float) -> dict[Block, bytes]:
-        payloads = {key: part.start for key, part in parts.items()}
-        self._read_on(payloads, {key: part.n_bytes(position) for key, part in parts.items()})
-        return payloads
-
     def _read_on(self, payloads: dict[Block, bytes], ends: dict[Block, int]) -> None:
         """Extend the beginnings of payloads to `ends`, near ones in one request."""
         keys = [key for key, end in ends.items() if end > len(payloads[key])]
@@ -122,11 +123,3 @@ class EarlyPayloads:
         for key, data in zip(keys, self._container.payload_parts(parts), strict=True):
             payloads[key] += data
             self.n_bytes += len(data)
-
-
-def _search(parts: Collection[_Begun], max_bytes: int) -> float:
-    """Return the finest position at which `parts` take at most `max_bytes`."""
-    coarsest = max((part.head.n_planes + part.n_below for part in parts), default=0)
-    return finest_position(
-        lambda position: sum(part.n_bytes(position) for part in parts), float(coarsest), max_bytes
-    )

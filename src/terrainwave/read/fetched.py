@@ -70,10 +70,7 @@ class FetchedPayloads:
     def take(self, key: Block) -> bytes:
         """Return and remove a payload; fetched now unless it is here or pending.
 
-        Raises
-        ------
-        CorruptStreamError
-            If its checksum or an index page on the way to it is wrong.
+        Raises `CorruptStreamError` if its checksum or an index page on the way to it is wrong.
         """
         with self._lock:
             coming = self._on_the_way.get(key)

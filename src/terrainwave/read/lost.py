@@ -1,12 +1,7 @@
 """Unreadable parts of a damaged file."""
 
-import threading
 from dataclasses import dataclass
 from typing import Any, NamedTuple
-
-from terrainwave.errors import CorruptStreamError
-from terrainwave.forks import renew_after_fork
-from terrainwave.grid.quadtree import Block, Grid
 
 
 class Lost(NamedTuple):
@@ -53,36 +48,3 @@ class Losses:
             "missing_bytes": self.missing_bytes,
             "parts": [part._asdict() for part in self.parts],
         }
-
-
-class LostUnits:
-    """Collects lost units, each once; from any number of threads."""
-
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
-        self._problems: dict[Block, str] = {}
-        self._lock = threading.Lock()
-        renew_after_fork(self)
-
-    def renew(self) -> None:
-        """Reset after a fork."""
-        self._lock = threading.Lock()
-
-    def note(self, key: Block, error: CorruptStreamError) -> None:
-        """Record that a unit cannot be read."""
-        with self._lock:
-            self._problems.setdefault(key, str(error))
-
-    def list(self) -> list[Lost]:
-        """Return the lost units, coarse levels first."""
-        with self._lock:
-            found = sorted(self._problems.items())
-        return [self._lost(key, problem) for key, problem in found]
-
-    def _lost(self, key: Block, problem: str) -> Lost:
-        if key.is_root_key:
-            region = self._grid.block_region(Block(0, key.row, key.col))
-        else:
-            region = self._grid.group_region(key)
-        window = int(region.row), int(region.col), int(region.n_rows), int(region.n_cols)
-        return Lost(key.level + 1, window, problem)

@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -272,7 +273,7 @@ class NativeFile:
         self._finalizer = weakref.finalize(self, handles.free)
         self._finalizer.atexit = False
         try:
-            self._fetch(_Rounds(self._container), "file", [handles.file])
+            self._fetch(_Rounds(self._container), "file", handles.file)
         except NativeError as error:
             self._finalizer()
             self._refusal = error
@@ -282,23 +283,19 @@ class NativeFile:
             raise
         return handles
 
-    def _fetch(self, rounds: "_Rounds", kind: str, handles: Sequence[Any]) -> None:
-        """Give files or windows the bytes they need, all in one request a round."""
-        need, feed = f"twz_{kind}_need", f"twz_{kind}_feed"
-        while wanted := [(one, self._library.needed(need, one)) for one in handles]:
-            missing = list(dict.fromkeys(part for _, parts in wanted for part in parts))
-            if not missing:
-                return
+    def _fetch(self, rounds: "_Rounds", kind: str, handle: Any) -> None:
+        """Give a file or a window the bytes it needs, all in one request a round."""
+        while wanted := self._library.needed(f"twz_{kind}_need", handle):
             # Pages that are here may tell more of what is to be fetched.
-            known = {part for part, is_page in missing if is_page and rounds.has(part)}
-            if not known:
-                rounds.fetch([part for part, _ in missing])
-            for one, parts in wanted:
-                for part, _ in parts:
-                    if part in known or not known:
-                        self._library.call(feed, one, part.offset, rounds.take(part), part.length)
+            here = [part for part, is_page in wanted if is_page and rounds.has(part)]
+            if not here:
+                here = [part for part, _ in wanted]
+                rounds.fetch(here)
+            for part in here:
+                data = rounds.take(part)
+                self._library.call(f"twz_{kind}_feed", handle, part.offset, data, part.length)
 
-    def read(
+    def window(
         self, level: int, region: Region, *, is_own: bool
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         """Return raw heights of a region of a level and what is void, as `WindowReader.read`."""
@@ -312,11 +309,11 @@ class NativeFile:
                 rounds = _Rounds(self._container)
                 if len(parts) > 1:
                     with self._window(handles, level, whole) as window:
-                        self._fetch(rounds, "window", [window])
+                        self._fetch(rounds, "window", window)
                 for part in parts:
                     at = part.slices_in(region)
                     with self._window(handles, level, part) as window:
-                        self._fetch(rounds, "window", [window])
+                        self._fetch(rounds, "window", window)
                         valid = self._decode(handles, window, level, heights[at], is_own=is_own)
                     if void is None and not valid.all():
                         void = np.zeros(region.shape, dtype=np.bool_)
@@ -332,7 +329,7 @@ class NativeFile:
         *,
         is_own: bool,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return bilinear raw heights at positions inside a level, and which are valid."""
+        """Return bilinear raw heights at positions inside a level, and which involve a void."""
         places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)
         found = np.empty(rows.size), np.empty(rows.size, dtype=np.bool_)
         arrays = (array.ctypes.data for array in (*places, *found))
@@ -343,17 +340,16 @@ class NativeFile:
             points = self._library.make("twz_points_new", handles.file, ctypes.byref(asked))
             try:
                 while n_left.value:
-                    self._fetch(_Rounds(self._container), "points", [points])
+                    self._fetch(_Rounds(self._container), "points", points)
                     with handles.lent_workers() as workers:
                         self._library.call(
                             "twz_points_decode", points, workers, ctypes.byref(n_left)
                         )
             finally:
                 self._library.free_points(points)
-        return found
+        return found[0], ~found[1]
 
     def _side(self, level: int) -> int:
-        """Return the samples on a side of a unit."""
         block = self._header.grid.block
         return block if level == 0 else 2 * block
 
@@ -365,16 +361,13 @@ class NativeFile:
         side = self._side(level)
         while 4 * side**2 <= most:
             side *= 2
-        last_row, last_col = region.row + region.n_rows, region.col + region.n_cols
-        row = region.row
-        while row < last_row:
-            below = min((row // side + 1) * side, last_row)
-            col = region.col
-            while col < last_col:
-                right = min((col // side + 1) * side, last_col)
+        rows, cols = (
+            [first, *range((first // side + 1) * side, first + n, side), first + n]
+            for first, n in zip(region[:2], region.shape, strict=True)
+        )
+        for row, below in pairwise(rows):
+            for col, right in pairwise(cols):
                 yield Region(row, col, below - row, right - col)
-                col = right
-            row = below
 
     @contextmanager
     def _window(self, handles: _Handles, level: int, region: Region) -> Iterator[int]:

@@ -66,7 +66,6 @@ class LevelWindow(NamedTuple):
 
     @property
     def level(self) -> int:
-        """Return the level, counted from 0."""
         return self.place.level
 
     def note_on_cut(self, pixel: tuple[float, float]) -> str | None:
@@ -97,11 +96,6 @@ def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
     columns. Slices count as in Python: from the end if negative, at most to the end.
 
     A `Region` is already checked.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is none of these, or not in whole samples.
     """
     if isinstance(window, Region):
         return window
@@ -140,13 +134,7 @@ def _of_slice(part: slice, size: int) -> range:
 
 
 def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
-    """Return the samples whose pixels touch (left, bottom, right, top), not clipped.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the bounds are empty, or the transform cannot be inverted.
-    """
+    """Return the samples whose pixels touch (left, bottom, right, top), not clipped."""
     left, bottom, right, top = checked_numbers("bounds", bounds, "left, bottom, right, top")
     if not (left < right and bottom < top):
         raise InvalidArgumentError(
@@ -168,13 +156,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
 def to_samples(
     places: NDArray[np.float64], transform: Transform
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return fractional (rows, cols) of world coordinates; integers are pixel centres.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the transform has no inverse.
-    """
+    """Return fractional (rows, cols) of world coordinates; integers are pixel centres."""
     if determinant(transform) == 0:
         raise InvalidHeightsError("the affine transform cannot be inverted; read by window instead")
     # Extreme numbers of a file or a caller become NaN or infinite: outside the raster.
@@ -187,13 +169,7 @@ def _round_half_up(value: float) -> int:
 
 
 def places_of(points: Any) -> NDArray[np.float64]:
-    """Return points as an array of shape (n_points, 2).
-
-    Raises
-    ------
-    InvalidArgumentError
-        If they are not pairs of numbers.
-    """
+    """Return points as an array of shape (n_points, 2)."""
     try:
         listed = points if isinstance(points, np.ndarray) else list(points)
         given = np.asarray(listed)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
-from terrainwave.codec.refiner import ALL_ROWS, Decoded, Raw, Refiner, Rows, as_array
+from terrainwave.codec.refiner import Decoded, Raw, Refiner, as_array
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
@@ -17,33 +17,21 @@ from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.names import METHODS, methods_that
-from terrainwave.read.decoder import (
-    WHOLE,
-    RowsOf,
-    TreeDecoder,
-    groups_by,
-    unit_key,
-    unit_name,
-)
-from terrainwave.read.fetched import FetchedPayloads, Payloads
+from terrainwave.read.decoder import WHOLE, RowsOf, TreeDecoder, unit_key, unit_name
+from terrainwave.read.fetched import Payloads
 
 Tile = list[LevelHeights]
 Coefficients = NDArray[np.int64]
 
 
-class Tiles:
-    """Units of a file with tiles, a `UnitSource`: each is cut from its tile.
+class TiledDecoder(TreeDecoder):
+    """Decoded units of a file with tiles: each is cut from its tile.
 
-    Parameters
-    ----------
-    cache_bytes : int
-        Memory for decoded tiles; as much again for coefficients, which few callers use.
-    decode : callable
-        Decodes the payload of a tile, below its head's block.
+    Half of the memory is for units, half for tiles; as much again for coefficients, which few
+    callers use. `decode` decodes the payload of a tile, below its head's block.
     """
 
     are_apart = False
-    has_parts = False
 
     def __init__(
         self,
@@ -51,24 +39,17 @@ class Tiles:
         parameters: CodecParameters,
         payloads: Payloads,
         cache_bytes: int,
-        decode: Callable[[TileSpec, LevelHeights | None, bytes], Tile] = decode_tile,
+        decode: Callable[[TileSpec, LevelHeights | None, bytes], Tile],
     ) -> None:
-        self._grid = grid
-        self._parameters = parameters
+        super().__init__(grid, parameters, None, payloads, cache_bytes // 2)
         self._layout = TileLayout(grid, parameters.has_voids)
-        self._fetched = FetchedPayloads(payloads)
-        self._decode = decode
-        self._tiles: Cache[Block, Tile] = Cache(cache_bytes, size_of=_n_bytes)
+        self._decode_payload = decode
+        self._tiles: Cache[Block, Tile] = Cache(cache_bytes // 2, size_of=_n_bytes)
         self._coefficients: Cache[Block, Coefficients] = Cache(
-            cache_bytes, size_of=lambda found: found.nbytes
+            cache_bytes // 2, size_of=lambda found: found.nbytes
         )
 
-    def prefetch(
-        self,
-        units: TreeDecoder,  # noqa: ARG002
-        keys: Sequence[Block],
-        rows: RowsOf = WHOLE,  # noqa: ARG002
-    ) -> list[Block]:
+    def prefetch(self, keys: Sequence[Block], rows: RowsOf = WHOLE) -> list[Block]:  # noqa: ARG002
         """Fetch the payloads of the tiles needed to decode `keys`, in one call.
 
         Returns an empty list: a unit needs tiles but no other units.
@@ -82,18 +63,7 @@ class Tiles:
         self._fetched.fetch(list(needed))
         return []
 
-    def rows_above(self, units: TreeDecoder, key: Block, rows: Rows) -> Rows:  # noqa: ARG002
-        """Return all rows."""
-        return ALL_ROWS
-
-    def decode(
-        self,
-        units: TreeDecoder,
-        key: Block,
-        rows: RowsOf = WHOLE,  # noqa: ARG002
-        raw: Raw | None = None,  # noqa: ARG002
-    ) -> Decoded:
-        """Return a unit, cut from its tile."""
+    def _decode(self, key: Block, rows: RowsOf = WHOLE, raw: Raw | None = None) -> Decoded:  # noqa: ARG002
         tile_key = self._layout.key_of(key)
         if key != tile_key and self._fetched.take(key):
             raise CorruptStreamError(
@@ -101,7 +71,7 @@ class Tiles:
             )
         tile = self._tile(tile_key)
         level = tile[key.level + 1 - max(tile_key.level + 1, 0)]
-        return final_heights(level.part(units.spec(key).region), self._parameters)
+        return final_heights(level.part(self.spec(key).region), self._parameters)
 
     def coefficients(self, level: int, region: Region) -> Coefficients:
         """Return the magnitude of the wavelet coefficient at each sample of a level, in quanta.
@@ -116,12 +86,12 @@ class Tiles:
             Inside the level.
         """
         found = np.empty(region.shape, dtype=np.int64)
-        side = self._grid.block
+        side = self.grid.block
         # One of the blocks that share a line is enough.
         for row in _blocks_along(region.row, region.n_rows, side):
             for col in _blocks_along(region.col, region.n_cols, side):
                 block = Block(level, row, col)
-                here = self._grid.block_region(block).intersect(region)
+                here = self.grid.block_region(block).intersect(region)
                 found[here.slices_in(region)] = self._coefficients_in(block, here)
         return found
 
@@ -157,7 +127,6 @@ class Tiles:
         return found
 
     def _tile(self, key: Block) -> Tile:
-        """Return a decoded tile; its ancestors are decoded as needed."""
         # Tiles above never wait for those below.
         return self._tiles.get_or_make(key, lambda: self._decode_tile(key))
 
@@ -168,7 +137,7 @@ class Tiles:
         if above is not None and spec.outer is not None:
             outer = self._tile(above)[-1].part(spec.outer)
         try:
-            return self._decode(spec, outer, self._fetched.take(key))
+            return self._decode_payload(spec, outer, self._fetched.take(key))
         except CorruptStreamError as exc:
             raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
 
@@ -187,29 +156,21 @@ def make_decoder(
     (`Terrain.read_early`).
     """
     grid, parameters = header.grid, header.codec_parameters
-    if not METHODS[header.method].is_tiled:
-        refiner = refiner or refiner_by_name(header.method, header.file_tables)
-        return TreeDecoder(grid, parameters, groups_by(refiner, payloads), cache_bytes)
-    # Half for units, half for tiles.
-    decode = partial(decode_tile, is_prefix=are_prefixes)
-    tiles = Tiles(grid, parameters, payloads, cache_bytes // 2, decode)
-    return TreeDecoder(grid, parameters, tiles, cache_bytes // 2)
+    if METHODS[header.method].is_tiled:
+        decode = partial(decode_tile, is_prefix=are_prefixes)
+        return TiledDecoder(grid, parameters, payloads, cache_bytes, decode)
+    refiner = refiner or refiner_by_name(header.method, header.file_tables)
+    return TreeDecoder(grid, parameters, refiner, payloads, cache_bytes)
 
 
-def with_coefficients(decoder: TreeDecoder) -> Tiles:
-    """Return the tiles of a decoder that has wavelet coefficients.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it has none.
-    """
-    if not isinstance(decoder.source, Tiles):
+def with_coefficients(decoder: TreeDecoder) -> TiledDecoder:
+    """Return a decoder that has wavelet coefficients; raise `InvalidArgumentError` for another."""
+    if not isinstance(decoder, TiledDecoder):
         raise InvalidArgumentError(
             "the file has no coefficients of a 5/3 wavelet; those of method"
             f" {methods_that(lambda method: method.has_coefficients)} have"
         )
-    return decoder.source
+    return decoder
 
 
 def _blocks_along(first: int, n: int, side: int) -> range:

@@ -1,32 +1,47 @@
-"""Windows and samples of a level: units decoded in threads, quanta converted to heights."""
+"""Windows and samples of a level: units decoded in threads, quanta converted to heights.
+
+A sample of a coarse level is valid if any full-grid sample near it is: *any*. The codec and meshes
+use these. If the full-grid sample at its position is void, its height is a fill. *Exact* voids
+exclude fills, by information in the payloads.
+"""
 
 import contextlib
 import logging
 import threading
+import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import ANY, EXACT
 from terrainwave.codec.refiner import Decoded, Raw
-from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.container.header import Header
+from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.crew import Crew
-from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
-from terrainwave.read.decoder import RowsOf, TreeDecoder, unit_key
-from terrainwave.read.lost import LostUnits
+from terrainwave.read.decoder import TreeDecoder, unit_key, units_of
+from terrainwave.read.lost import Lost
+from terrainwave.read.native import NativeError, NativeFile
 
 _log = logging.getLogger(__name__)
 
 # Payloads fetched ahead of decoding, in one coalesced request.
 _BATCH = 64
+# Stack level of the caller of an open file's method.
+_STACK = 4
+
+# Raw heights, and voids or None.
+_Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
+_Found = TypeVar("_Found")
 
 
 class WindowReader:
-    """Reads through a decoder, with the threads of one open file.
+    """Reads windows and samples of levels of one open file, with its threads.
 
     Parameters
     ----------
@@ -34,14 +49,27 @@ class WindowReader:
         Name of the file in messages.
     n_threads : int
         Threads that decode; none are started for one.
+    decoder : callable
+        Returns the decoder of the file's units, created on first use.
+    native : NativeFile, optional
+        Reader with the native library, for what it supports.
     """
 
-    def __init__(self, name: str, grid: Grid, quantizer: Quantizer, n_threads: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        header: Header,
+        n_threads: int,
+        decoder: Callable[[], TreeDecoder],
+        native: NativeFile | None = None,
+    ) -> None:
         self._name = name
-        self.lost = LostUnits(grid)
-        self._quantizer = quantizer
-        self._dtype = np.dtype(quantizer.dtype)
+        self._grid, self._quantizer = header.grid, header.quantizer
+        self._dtype = np.dtype(header.dtype)
         self._n_threads = n_threads
+        self._decoder = decoder
+        self._native = native
+        self._problems: dict[Block, str] = {}
         self._is_closed = False
         self.renew()
         renew_after_fork(self)
@@ -53,63 +81,134 @@ class WindowReader:
     def close(self) -> None:
         self._is_closed = True
         self._crew.shutdown()
+        if self._native is not None:
+            self._native.close()
+
+    @property
+    def lost(self) -> list[Lost]:
+        """Return the damaged units that reads have left void, coarse levels first."""
+        found = []
+        for key, problem in sorted(self._problems.copy().items()):
+            if key.is_root_key:
+                region = self._grid.block_region(Block(0, key.row, key.col))
+            else:
+                region = self._grid.group_region(key)
+            row, col, n_rows, n_cols = map(int, region)
+            found.append(Lost(key.level + 1, (row, col, n_rows, n_cols), problem))
+        return found
 
     def read(
+        self,
+        level: int,
+        region: Region,
+        on_error: str = "raise",
+        voids: str = EXACT,
+        decoder: TreeDecoder | None = None,
+        void_value: float | None = None,
+    ) -> _Heights:
+        """Return raw heights of a region of a level and the voids, None without voids.
+
+        With `on_error` ``"mask"``, damaged units read as void. `decoder` replaces the file's own.
+        With `void_value`, voids get that height and are not returned.
+        """
+        is_own = voids != ANY
+
+        def by_units(units: TreeDecoder) -> _Heights:
+            return self._decoded(units, level, region, on_error, is_own, void_value)
+
+        if decoder is not None:
+            return by_units(decoder)
+        return self._either(
+            lambda native: native.window(level, region, is_own=is_own), by_units, on_error
+        )
+
+    def _either(
+        self,
+        by_library: Callable[[NativeFile], _Found],
+        by_units: Callable[[TreeDecoder], _Found],
+        on_error: str = "raise",
+    ) -> _Found:
+        """Read with the native library; if it is missing or fails, with the file's decoder.
+
+        That decoder decides what is damaged, and gives the message.
+        """
+        contradicts = ""
+        if self._native is not None:
+            try:
+                return by_library(self._native)
+            except NativeError as error:
+                contradicts = str(error) if error.is_damage and on_error == "raise" else ""
+            except CorruptStreamError:
+                pass
+        found = by_units(self._decoder())
+        if contradicts:
+            warnings.warn(
+                f"the native library cannot read {self._name} ({contradicts}), and terrainwave"
+                " itself can: heights are good; please report it with the file",
+                TerrainwaveWarning,
+                stacklevel=_STACK,
+            )
+        return found
+
+    def _decoded(
         self,
         decoder: TreeDecoder,
         level: int,
         region: Region,
-        on_error: str = "raise",
-        *,
+        on_error: str,
         is_own: bool,
-        void_value: float | None = None,
-    ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and the voids, None without voids.
-
-        With `on_error` ``"mask"``, damaged units read as void; with `is_own`, so do samples that
-        are not valid by themselves. With `void_value` voids have that height, and are not returned.
-        """
+        void_value: float | None,
+    ) -> _Heights:
+        """Do as `read`; with `is_own`, samples that are not valid by themselves are voids, too."""
         # A part of a flat array, as units that write to it take it.
         heights = np.zeros(region.n_rows * region.n_cols, dtype=self._dtype).reshape(region.shape)
         base, out = self._quantizer.shift, None
         if base is not None and self._dtype in (np.int16, np.int32):  # kernels for few types
             out = Raw(heights, base)
-        voids: _Voids | _Filled
-        if void_value is None:
-            voids = _Voids(region, are_all=on_error == "mask")
-        else:
-            voids = _Filled(heights, void_value)
-            if on_error == "mask":
-                heights[:] = void_value
-
-        def fill(key: Block, rows: RowsOf) -> None:
-            try:
-                there, unit = decoder.part_once(key, region, rows, out)
-                if not unit.is_raw:
-                    self._fill(unit, heights[there])
-                voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
-            except CorruptStreamError as error:
-                if on_error == "raise":
-                    raise
-                _log.info("read as void: %s", error)
-                self.lost.note(key, error)
-
-        keys = decoder.keys(level, region)
+        voids = _Voids(heights, void_value, are_all=on_error == "mask")
+        keys = units_of(decoder.grid, level, region)
         _log.debug("level %d, window %s: %d units", level, tuple(region), len(keys))
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             missing, rows = decoder.prefetch_for(batch, region)
+            wanted = set(batch)
+
+            def work(key: Block) -> None:
+                if key not in wanted:  # noqa: B023  called at once
+                    # Damage above a key is reported with the key.
+                    with contextlib.suppress(CorruptStreamError):
+                        decoder.unit(key, rows)  # noqa: B023
+                    return
+                try:
+                    there, unit = decoder.part_once(key, region, rows, out)  # noqa: B023
+                    if not unit.is_raw:
+                        self._fill(unit, heights[there])
+                    voids.note(there, unit.validity.own_mask if is_own else unit.validity.mask)
+                except CorruptStreamError as error:
+                    if on_error == "raise":
+                        raise
+                    _log.info("read as void: %s", error)
+                    self._problems.setdefault(key, str(error))
+
             # The units above a single unit are a chain, in which threads would only wait for one
             # another.
             if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
-                    fill(key, rows)
+                    work(key)
             else:
-                needed = list(dict.fromkeys([*missing, *batch]))
-                self._run(_fill_or_decode(decoder, set(batch), fill, rows), needed)
+                self._work_down(work, list(dict.fromkeys([*missing, *batch])))
         return heights, voids.marked
 
     def bilinear(
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return bilinear raw heights at positions inside a level, and which involve a void."""
+        return self._either(
+            lambda native: native.bilinear(level, rows, cols, is_own=voids != ANY),
+            lambda decoder: self._bilinear(decoder, level, rows, cols, is_own=voids != ANY),
+        )
+
+    def _bilinear(
         self,
         decoder: TreeDecoder,
         level: int,
@@ -156,9 +255,13 @@ class WindowReader:
         # Not in place: another thread fills the samples shared with a neighbouring unit.
         out[...] = exact_heights(self._quantizer, unit)
 
-    def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
+    def _work_down(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit in the threads, ancestors first."""
-        first, below = _by_parent(keys)
+        first: list[Block] = []
+        below: dict[Block, list[Block]] = {key: [] for key in keys}
+        for key in keys:
+            parent = None if key.is_root_key else unit_key(key)
+            (first if parent is None else below.get(parent, first)).append(key)
 
         def work_through(key: Block) -> list[Block]:
             work(key)
@@ -173,13 +276,7 @@ class WindowReader:
 
 
 def exact_heights(quantizer: Quantizer, unit: Decoded) -> NDArray[Any]:
-    """Return the raw heights of a unit that has remainders (FORMAT.md §5.3).
-
-    Raises
-    ------
-    CorruptStreamError
-        If one of its valid samples is not finite.
-    """
+    """Return the raw heights of a unit that has remainders (FORMAT.md §5.3)."""
     assert unit.remainders is not None
     heights = restored(quantizer.dequantize(unit.heights), unit.remainders)
     if not np.isfinite(heights[unit.mask]).all():
@@ -187,70 +284,35 @@ def exact_heights(quantizer: Quantizer, unit: Decoded) -> NDArray[Any]:
     return heights
 
 
-def _by_parent(keys: list[Block]) -> tuple[list[Block], dict[Block, list[Block]]]:
-    """Return the keys of units whose ancestors are not wanted, and the keys below each unit."""
-    first: list[Block] = []
-    below: dict[Block, list[Block]] = {key: [] for key in keys}
-    for key in keys:
-        parent = None if key.is_root_key else unit_key(key)
-        (first if parent is None else below.get(parent, first)).append(key)
-    return first, below
-
-
 class _Voids:
-    """Voids of a region; `marked` is None before the first.
+    """Voids of a region of heights: they get a value, or are marked; None before the first.
 
-    With `are_all`, samples count as void until they are noted.
+    With `are_all`, samples count as void until they are noted. A value is set unit by unit, while
+    the heights are in the processor's cache.
     """
 
-    def __init__(self, region: Region, *, are_all: bool) -> None:
-        self.marked = np.ones(region.shape, dtype=np.bool_) if are_all else None
-        self._are_all = are_all
-        self._shape = region.shape
+    def __init__(self, heights: NDArray[Any], value: float | None, *, are_all: bool) -> None:
+        self.marked: NDArray[np.bool_] | None = None
+        self._heights, self._value, self._are_all = heights, value, are_all
         self._lock = threading.Lock()
+        if are_all and value is None:
+            self.marked = np.ones(heights.shape, dtype=np.bool_)
+        elif are_all:
+            heights[:] = value
 
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
-        """Record the valid samples of a part of the region; None: all are."""
+        """Record the valid samples of a part whose heights are set; None: all are."""
+        if self._value is not None:
+            if valid is not None:
+                # After the heights, so that samples shared by two threads' units end up equal.
+                np.copyto(self._heights[there], self._value, where=np.logical_not(valid))
+            return
         if valid is None and not self._are_all:
             return
-        if self.marked is None:
-            with self._lock:
-                if self.marked is None:
-                    self.marked = np.zeros(self._shape, dtype=np.bool_)
+        with self._lock:
+            if self.marked is None:
+                self.marked = np.zeros(self._heights.shape, dtype=np.bool_)
         if valid is None:
             self.marked[there] = False
         else:
             np.logical_not(valid, out=self.marked[there])
-
-
-class _Filled(NamedTuple):
-    """Heights whose voids get a value, unit by unit while it is in the processor's cache."""
-
-    heights: NDArray[Any]
-    value: float
-    marked: None = None
-
-    def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_] | None) -> None:
-        """Fill the voids of a part of the region, after its heights are set; None: it has none."""
-        if valid is not None:
-            # After the heights, so that samples shared by two threads' units end up equal.
-            np.copyto(self.heights[there], self.value, where=np.logical_not(valid))
-
-
-def _fill_or_decode(
-    decoder: TreeDecoder,
-    keys: set[Block],
-    fill: Callable[[Block, RowsOf], None],
-    rows: RowsOf,
-) -> Callable[[Block], None]:
-    """Return a function that fills `keys` and decodes their ancestors."""
-
-    def work(key: Block) -> None:
-        if key in keys:
-            fill(key, rows)
-        else:
-            # Damage above a key is reported with the key.
-            with contextlib.suppress(CorruptStreamError):
-                decoder.unit(key, rows)
-
-    return work

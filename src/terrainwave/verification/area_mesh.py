@@ -65,13 +65,18 @@ def area_problems(
 
 
 def error_problems(
-    ruler: QuantaScale, errors: Deviation, stated: float, region: Region, what: str
+    ruler: QuantaScale,
+    errors: Deviation,
+    most: float,
+    region: Region,
+    what: str,
+    of: str = "stated error",
 ) -> Iterator[str]:
-    """Yield a line if samples are further from a mesh than it states, in 1/16 quanta."""
+    """Yield a line if samples are further from a mesh than `most`, in 1/16 quanta."""
     if errors.n_beyond:
         yield (
-            f"{errors.n_beyond} {what} are further from it than the stated error"
-            f" {ruler.physical(stated):g}; the worst, at row"
+            f"{errors.n_beyond} {what} are further from it than the {of}"
+            f" {ruler.physical(most):g}; the worst, at row"
             f" {region.row + errors.row}, column {region.col + errors.col}, by"
             f" {ruler.physical(errors.worst):g}"
         )

@@ -40,10 +40,11 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS
 from terrainwave.place.meaning import check_kind
 from terrainwave.progress import Progress, ProgressCallback
+from terrainwave.raster_io.dataset import opened
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.vrt.warped import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
-from terrainwave.verification.original import Original, open_original, place_text
+from terrainwave.verification.original import Original, place_text
 from terrainwave.verification.raster_metadata import (
     metadata_problems,
     place_problem,
@@ -214,22 +215,22 @@ def verify(
     with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
             problems = tuple(_problems_of_bytes(terrain, root))
-            bound = _bound(terrain, max_error)
-            report = _report(terrain, twz, None, bound, None, problems)
+            report = _report(terrain, twz, max_error, original=None, errors=None, problems=problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
-        with open_original(original) as dataset:
+        with opened(os.fspath(original)) as dataset:
             check_band(band, dataset.count, str(original))
             whole = terrain.shape if part else None
             raster = Original(dataset, band, nodata, terrain.transform, heights_are, whole)
             remarks = [remark_on_windows(dataset)]
-            if raster.flips != (False, False):
+            if any(raster.turn):
                 remarks.append(
                     "rows or columns are stored in another order than in the file; turned to its"
                     " order"
                 )
             for remark in filter(None, remarks):
                 warnings.warn(f"{original}: {remark}", TerrainwaveWarning, stacklevel=2)
-            report = _Comparison(terrain, raster, max_error, part).run(twz, original, progress)
+            found = _Comparison(terrain, raster, max_error, part).run(progress)
+            report = _report(terrain, twz, max_error, original=os.fspath(original), **found)
             if not mesh or report.errors is None:  # of another size, type or unit
                 return report
             return _with_meshes(report, terrain, raster.read, progress)
@@ -267,40 +268,23 @@ def _with_meshes(
 ) -> VerifyReport:
     """Add the checks of meshes to a report, unless heights cannot be read."""
     # Imported here: numba.
-    from terrainwave.verification.mesh_walk import verify_meshes
+    from terrainwave.verification.mesh_walk import MeshVerification
 
-    checked, problems = verify_meshes(
+    checked, problems = MeshVerification(
         terrain, None if read is None else lambda region: read(*region), progress
-    )
+    ).run()
     return replace(report, mesh=checked, problems=(*report.problems, *problems))
 
 
-def _bound(terrain: Any, max_error: float | None) -> float:
-    if max_error is not None:
-        return float(max_error)
-    return float(terrain.effective_error)
-
-
-def _report(
-    terrain: Any,
-    twz: Any,
-    original: Any,
-    bound: float,
-    errors: ErrorReport | None,
-    problems: tuple[str, ...],
-    is_strict: bool | None = None,
-) -> VerifyReport:
+def _report(terrain: Any, twz: Any, max_error: float | None, **found: Any) -> VerifyReport:
     return VerifyReport(
         path=os.fspath(twz),
-        original=None if original is None else os.fspath(original),
-        bound=bound,
+        bound=float(terrain.effective_error if max_error is None else max_error),
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
-        errors=errors,
-        problems=problems,
-        is_strict=is_strict,
         earlier=terrain.info().earlier,
         root=_root(terrain),
+        **found,
     )
 
 
@@ -322,7 +306,7 @@ class _Comparison:
         self._dtype, self._scale = original.dtype, original.scale
         # The raster of a part may have another one.
         self._nodata = terrain.nodata if part else original.nodata
-        self._bound = _bound(terrain, max_error)
+        self._bound = float(terrain.effective_error if max_error is None else max_error)
         self._strict_bound = float(terrain.max_error if max_error is None else max_error)
         self._even = terrain.even_blocks()
         # Samples that the index of both files knows to be void.
@@ -330,7 +314,8 @@ class _Comparison:
         # By heights of the file and the original: their first region, and the number of samples.
         self._alike: dict[tuple[int, bytes], tuple[Region, int]] = {}
 
-    def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
+    def run(self, progress: ProgressCallback | None) -> dict[str, Any]:
+        """Return the fields of the report."""
         terrain = self._terrain
         problems = list(metadata_problems(terrain, self._original, part=self._part))
         errors, is_strict, window = None, None, None
@@ -348,9 +333,12 @@ class _Comparison:
             errors = measured.report()
             bound = self._strict_bound / abs(self._scale or 1.0)
             is_strict = measured.is_within(bound, self._dtype)
-        found = tuple(problems)
-        report = _report(terrain, twz, original, self._bound, errors, found, is_strict)
-        return replace(report, window=window)
+        return {
+            "errors": errors,
+            "problems": tuple(problems),
+            "is_strict": is_strict,
+            "window": window,
+        }
 
     def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
@@ -423,7 +411,6 @@ class _Comparison:
         return None if height is None else Even(height, True)
 
     def _is_void(self, region: Region) -> bool:
-        """Return whether the .twz file's index has no heights in a region."""
         try:
             return next(self._terrain.coded_parts(region), None) is None
         except TerrainwaveError:  # reading there raises

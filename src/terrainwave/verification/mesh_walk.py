@@ -243,13 +243,9 @@ class MeshVerification:
             valid,
             tolerance + self._ruler.decoded_slack,
         )
-        if errors.n_beyond:
-            yield (
-                f"{errors.n_beyond} decoded heights are further from it than the tolerance"
-                f" {self._ruler.physical(tolerance):g}; the worst, at row"
-                f" {region.row + errors.row}, column {region.col + errors.col}, by"
-                f" {self._ruler.physical(errors.worst):g}"
-            )
+        return error_problems(
+            self._ruler, errors, tolerance, region, "decoded heights", "tolerance"
+        )
 
     def _check_lines(self, block: Block, surface: CheckedMesh) -> None:
         """Compare borders with earlier neighbours; keep those for later ones."""
@@ -310,10 +306,3 @@ class MeshVerification:
             n_triangles += mesh.n_triangles
             stated, measured = max(stated, mesh.error), max(measured, worst)
         return AreaMeshes(max_error, optimise, n_windows, n_triangles, stated, measured)
-
-
-def verify_meshes(
-    terrain: Any, read: ReadOriginal | None = None, progress: ProgressCallback | None = None
-) -> tuple[MeshReport, list[str]]:
-    """Check all meshes of a file; return the report and all problems."""
-    return MeshVerification(terrain, read, progress).run()

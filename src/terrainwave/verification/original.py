@@ -5,8 +5,6 @@ only some samples are read.
 """
 
 import math
-import os
-import warnings
 from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
@@ -14,7 +12,7 @@ from typing import Any
 import numpy as np
 import rasterio
 from rasterio.enums import MaskFlags
-from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from terrainwave.arguments import nodata_choice
@@ -26,6 +24,7 @@ from terrainwave.place.meaning import Told, by_numbers
 from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
+from terrainwave.raster_io.mosaic import ORIENTATIONS, Orientation
 from terrainwave.raster_io.vrt.copied import unreported
 
 # Samples per window, and its height if the original is striped: with windows of few rows the
@@ -42,26 +41,6 @@ _SAME_PLACE = 1e-3
 _LINEAR = (0, 1, 3, 4)
 
 _GDAL_CACHE_BYTES = 64 * 2**20
-
-
-def open_original(path: str | os.PathLike[str]) -> Any:
-    """Return the dataset of a raster."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            return rasterio.open(path)
-    except UnicodeEncodeError as error:
-        raise StorageError(
-            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
-        ) from error
-    except RasterioIOError as error:
-        if "://" not in os.fspath(path) and not os.path.exists(path):
-            raise StorageError(f"{path}: no such file") from error
-        if os.path.isdir(path):
-            raise StorageError(f"{path} is a directory; expected a raster file") from error
-        if os.path.exists(path) and not os.path.getsize(path):
-            raise StorageError(f"{path} is empty; expected a raster file") from error
-        raise StorageError(f"{path} is not a raster that GDAL can read: {error}") from error
 
 
 class Original:
@@ -89,12 +68,12 @@ class Original:
         self.transform = tuple(dataset.transform)[:6]
         self.shape = dataset.height, dataset.width
         self.place: Region | None = Region(0, 0, *self.shape)
-        self.flips = False, False
+        self.turn = Orientation()
         if whole is not None:
-            self.flips, self.place = _place(dataset, tuple(transform)[:6], whole)
+            self.turn, self.place = _place(dataset, tuple(transform)[:6], whole)
         elif transform is not None:
-            self.flips = _flips(dataset, tuple(transform)[:6])
-        if self.flips != (False, False):
+            self.turn = _turn_to(dataset, tuple(transform)[:6])
+        if any(self.turn):
             self.transform = tuple(transform)[:6]
         self.dtype = np.dtype(dataset.dtypes[band - 1])
         declared = dataset.nodatavals[band - 1]
@@ -110,7 +89,6 @@ class Original:
         self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
 
     def unit(self) -> HeightUnit:
-        """Return the original's unit: its band's, else its CRS's."""
         units = self.dataset.units[self.band - 1]
         return height_unit(units, format_crs(self.dataset.crs))
 
@@ -150,7 +128,6 @@ class Original:
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Return raw heights and validity of a window of the file."""
-        flip_rows, flip_cols = self.flips
         row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
@@ -167,18 +144,14 @@ class Original:
             ) from error
         if self.dtype.kind == "f":
             valid &= ~np.isnan(heights)
-        order = slice(None, None, -1 if flip_rows else 1), slice(None, None, -1 if flip_cols else 1)
-        return heights[order], valid[order]
+        return self.turn.of_array(heights), self.turn.of_array(valid)
 
     def _stored(self, region: Region) -> Region:
         """Return the region of the dataset, in its own order, for a region of the file."""
-        row, col, n_rows, n_cols = region
         if self.place is not None:
-            row, col = row - self.place.row, col - self.place.col
-        flip_rows, flip_cols = self.flips
-        row = self.shape[0] - row - n_rows if flip_rows else row
-        col = self.shape[1] - col - n_cols if flip_cols else col
-        return Region(row, col, n_rows, n_cols)
+            row, col = region.row - self.place.row, region.col - self.place.col
+            region = region._replace(row=row, col=col)
+        return self.turn.before(region, self.shape)
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
         """Return which heights equal a value that marks voids."""
@@ -242,52 +215,42 @@ class Original:
         return DatasetBackend(self.dataset, self.band, owned=True)
 
 
-def _turned(dataset: Any, flips: tuple[bool, bool]) -> tuple[float, ...]:
-    """Return the transform of a dataset whose rows, columns are read in the opposite order."""
-    a, b, c, d, e, f = tuple(dataset.transform)[:6]
-    if flips[0]:
-        b, e, c, f = -b, -e, c + dataset.height * b, f + dataset.height * e
-    if flips[1]:
-        a, d, c, f = -a, -d, c + dataset.width * a, f + dataset.width * d
-    return a, b, c, d, e, f
+def _turns_of(
+    dataset: Any, wanted: tuple[float, ...]
+) -> Iterator[tuple[Orientation, Any, float, float]]:
+    """Yield orders of rows and columns, with the transform, the pixel, and how far ends drift."""
+    shape = dataset.height, dataset.width
+    for turn in ORIENTATIONS:
+        if not turn.swap:
+            found = turn.of_transform(tuple(dataset.transform)[:6], shape)
+            drift = max(shape) * max(abs(found[i] - wanted[i]) for i in _LINEAR)
+            yield turn, found, max(abs(found[i]) for i in _LINEAR), drift
 
 
-def _flips(dataset: Any, wanted: tuple[float, ...]) -> tuple[bool, bool]:
-    """Return whether rows and columns of a dataset are in the opposite order of a transform's."""
-    for flips in ((True, False), (False, True), (True, True)):
-        found = _turned(dataset, flips)
-        pixel = max(abs(found[i]) for i in _LINEAR)
+def _turn_to(dataset: Any, wanted: tuple[float, ...]) -> Orientation:
+    """Return the order of a dataset's rows and columns compared with a transform's."""
+    for turn, found, pixel, drift in _turns_of(dataset, wanted):
         # Corners computed in another way differ by rounding.
         shift = max(abs(found[i] - wanted[i]) for i in (2, 5))
-        if max(shift, _drift(dataset, found, wanted)) <= _SAME_PIXEL * pixel:
-            return flips
-    return False, False
-
-
-def _drift(dataset: Any, found: tuple[float, ...], wanted: tuple[float, ...]) -> float:
-    """Return the distance of pixels of two sizes or directions at a dataset's end."""
-    largest = max(abs(found[i] - wanted[i]) for i in _LINEAR)
-    return max(dataset.height, dataset.width) * largest
+        if max(shift, drift) <= _SAME_PIXEL * pixel:
+            return turn
+    return Orientation()
 
 
 def _place(
     dataset: Any, wanted: tuple[float, ...], whole: tuple[int, int]
-) -> tuple[tuple[bool, bool], Region | None]:
-    """Return the flips of a dataset and the part of a file's grid that it covers, or None."""
-    if not determinant(wanted):
-        return (False, False), None
-    for flips in ((False, False), (True, False), (False, True), (True, True)):
-        found = _turned(dataset, flips)
-        pixel = max(abs(found[i]) for i in _LINEAR)
+) -> tuple[Orientation, Region | None]:
+    """Return the order of a dataset and the part of a file's grid that it covers, or None."""
+    for turn, found, pixel, drift in _turns_of(dataset, wanted) if determinant(wanted) else ():
         row, col = places_to_pixels(wanted, found[2], found[5])
         if not pixel or not math.isfinite(row) or not math.isfinite(col):
             continue
         off = max(abs(row - round(row)), abs(col - round(col)))
-        if max(off, _drift(dataset, found, wanted) / pixel) <= _SAME_PLACE:
+        if max(off, drift / pixel) <= _SAME_PLACE:
             place = Region(round(row), round(col), dataset.height, dataset.width)
             is_inside = place.intersect(Region(0, 0, *whole)) == place
-            return flips, place if is_inside else None
-    return (False, False), None
+            return turn, place if is_inside else None
+    return Orientation(), None
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:

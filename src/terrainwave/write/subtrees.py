@@ -30,7 +30,7 @@ from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_par
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, groups_by
+from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.write.boxes import Box, Codes, recursive_errors
 from terrainwave.write.encoder import TreeEncoder
@@ -112,8 +112,10 @@ class Site:
     def decoded(self, stage: str, top_stage: str) -> Iterator[tuple[TreeDecoder, StoredSegments]]:
         """Yield a decoder of the `segments` of a stage, and these."""
         with self.segments(stage, top_stage) as stored:
-            source = groups_by(self.refiner(), stored.payloads)
-            yield TreeDecoder(self.grid, self.job.parameters, source, _CACHE_BYTES), stored
+            decoder = TreeDecoder(
+                self.grid, self.job.parameters, self.refiner(), stored.payloads, _CACHE_BYTES
+            )
+            yield decoder, stored
 
     @contextmanager
     def levels(self, bench: Bench, region: Region, fills: Fills | None) -> Iterator[Pyramid]:

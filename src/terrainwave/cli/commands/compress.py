@@ -1,7 +1,7 @@
 """Command compress: rasters to .twz files."""
 
 import threading
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -122,8 +122,8 @@ def _compress(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make one file of one raster, or of a mosaic."""
     import terrainwave
+    from terrainwave.ext.distributed import connected
 
     if not options["georeference"] and len(sources) > 1:
         raise click.UsageError(
@@ -135,7 +135,7 @@ def _compress(
         raise click.UsageError(f"found --scheduler and --method {method}, expected one of them")
     announce_compiling(quiet=quiet)
     with (
-        _cluster(scheduler) as client,
+        connected(scheduler) if scheduler is not None else nullcontext() as client,
         Bar(quiet=quiet) as bar,
         written(target, ".twz") as path,
     ):
@@ -190,7 +190,6 @@ _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 
 
 def _asked(options: dict[str, Any]) -> Options:
-    """Return the options of the file, checked."""
     return Options(**{name: options[name] for name in options.keys() & {*Options.names()}})
 
 
@@ -229,15 +228,6 @@ def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
             " own, add --to DIR"
         ) from error
     return [Input().convert(path, None, ctx) for path in paths[:-1]], target
-
-
-def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
-    """Return a client of a dask scheduler as a context; None without an address."""
-    if scheduler is None:
-        return nullcontext()
-    from terrainwave.ext.distributed import connected
-
-    return connected(scheduler)
 
 
 def _result_line(result: Any) -> str:

@@ -114,7 +114,6 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
 
 
 def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
-    """Write one GeoTIFF or height tile."""
     import terrainwave
 
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
@@ -142,7 +141,6 @@ def _decompress_each(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Write a GeoTIFF of each file, in a directory."""
     import terrainwave
 
     if skips:

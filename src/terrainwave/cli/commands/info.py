@@ -79,7 +79,6 @@ class _Found:
     def of(
         cls, terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
     ) -> Self:
-        """Read them from a file."""
         from terrainwave.mesh.level_errors import level_errors
         from terrainwave.mesh.statistics import mesh_levels
 
@@ -92,7 +91,6 @@ class _Found:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the requested results for --json."""
         errors = self.level_errors
         fields = {
             "parts": None if self.parts is None else asdict(self.parts),
@@ -105,7 +103,6 @@ class _Found:
         return {name: value for name, value in fields.items() if value is not None}
 
     def print(self, summary: Any) -> None:
-        """Print the requested results as tables."""
         if self.parts is not None:
             _print_parts(self.parts)
         if self.level_errors is not None:

@@ -198,24 +198,50 @@ def _export_mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
+    import terrainwave
+    from terrainwave.container.targets.publication import refuse_own_source
+    from terrainwave.export import mesh_files
+
     shape = {name: options.pop(name) for name in Shape.names()}
     check_one_area(options)
     _check_shape(target, shape)
     if lods is not None:
         del options["level"], options["max_triangles"]
-        made = _save_lods(
-            file, target, lods, shape | options, optimise=int(optimise), threads=threads,
-            overwrite=overwrite, quiet=quiet,
-        )  # fmt: skip
+        announce_compiling(quiet=quiet)
+        with reading(file), Bar(quiet=quiet) as bar:
+            made = terrainwave.save_lods(
+                file, target, lods, progress=bar, optimise=int(optimise), threads=threads,
+                overwrite=overwrite, **shape | options,
+            )  # fmt: skip
         if as_json:
             print_json({"lods": [asdict(saved) for saved in made]})
         elif not quiet:
             _print_lods(made)
         return
     options |= {"optimise": int(optimise and not loose), "guarantee": not loose}
-    saved = _save_mesh(
-        file, target, options, shape, threads=threads, overwrite=overwrite, quiet=quiet
-    )
+    refuse_own_source(file, target)
+    mesh_files.prepare(target, overwrite=overwrite)
+    announce_compiling(quiet=quiet)
+    with (
+        reading(file),
+        terrainwave.open(file, threads=threads) as terrain,
+        Bar(quiet=quiet) as bar,
+    ):
+        mesh_files.check_drape(terrain, shape["drape"])
+
+        def make(max_error: float | None) -> Any:
+            return terrain.mesh(progress=bar, **options | {"max_error": max_error})
+
+        bound = options["max_error"]
+        if bound is None:
+            surface = make(None)
+        else:
+            surface, is_within = mesh_files.mesh_for_file(
+                make, target, bound, terrain.quanta_error, **shape
+            )
+            if not is_within:
+                print_note(mesh_files.note_on_rounding(bound))
+    saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
         print_json(asdict(saved))
     elif not quiet:
@@ -236,58 +262,6 @@ def _check_shape(target: str, shape: dict[str, Any]) -> None:
             " coordinates keep the file's datum"
         )
     check_shape(Shape(**shape), extension)
-
-
-def _save_mesh(
-    file: str,
-    target: str,
-    options: dict[str, Any],
-    shape: dict[str, Any],
-    *,
-    threads: int | None,
-    overwrite: bool,
-    quiet: bool,
-) -> Any:
-    import terrainwave
-    from terrainwave.container.targets.publication import refuse_own_source
-    from terrainwave.export.mesh_files import (
-        check_drape,
-        mesh_for_file,
-        note_on_rounding,
-        prepare,
-    )
-
-    refuse_own_source(file, target)
-    prepare(target, overwrite=overwrite)
-    announce_compiling(quiet=quiet)
-    with (
-        reading(file),
-        terrainwave.open(file, threads=threads) as terrain,
-        Bar(quiet=quiet) as bar,
-    ):
-        check_drape(terrain, shape["drape"])
-
-        def make(max_error: float | None) -> Any:
-            return terrain.mesh(progress=bar, **options | {"max_error": max_error})
-
-        bound = options["max_error"]
-        if bound is None:
-            surface = make(None)
-        else:
-            surface, is_within = mesh_for_file(make, target, bound, terrain.quanta_error, **shape)
-            if not is_within:
-                print_note(note_on_rounding(bound))
-    return surface.save(target, overwrite=overwrite, **shape)
-
-
-def _save_lods(
-    file: str, target: str, n_lods: int, options: dict[str, Any], *, quiet: bool, **others: Any
-) -> list[Any]:
-    import terrainwave
-
-    announce_compiling(quiet=quiet)
-    with reading(file), Bar(quiet=quiet) as bar:
-        return terrainwave.save_lods(file, target, n_lods, progress=bar, **options, **others)
 
 
 def _print_lods(made: list[Any]) -> None:

@@ -106,6 +106,7 @@ def _draw(
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
+    from terrainwave.render.look.png import encode_png
     from terrainwave.render.scene.frame import check_drawable
     from terrainwave.render.window.pictures import (
         area_within,
@@ -137,7 +138,7 @@ def _draw(
         )
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
-                _write_png(path, image, overwrite)
+                _write(path, encode_png(image), overwrite)
             all_drawn.append(drawn)
     return all_drawn
 
@@ -162,12 +163,6 @@ def _numbered(target: str, n_frames: int) -> list[str]:
         str(path.with_name(f"{path.stem}-{number:0{digits}}{path.suffix}"))
         for number in range(n_frames)
     ]
-
-
-def _write_png(target: str, image: Any, overwrite: bool) -> None:
-    from terrainwave.render.look.png import encode_png
-
-    _write(target, encode_png(image), overwrite)
 
 
 def _write(target: str, data: bytes, overwrite: bool) -> None:

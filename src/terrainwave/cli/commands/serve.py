@@ -113,9 +113,13 @@ def serve(
         raise click.UsageError("Missing argument 'FILES...'.")
     for package in ("uvicorn", "fastapi", "PIL"):
         need(package, extra="serve", purpose="serve")
+    from terrainwave.ext.serve.app import make_app
+    from terrainwave.ext.serve.client_limits import server_of
+
     with _saying_that_it_stopped(quiet=quiet):
         announce_compiling(quiet=quiet)
-        app = _app(files, host, hosts, **options)
+        named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
+        app = make_app(list(files), hosts=named, **options)
         with _listen(host, port) as listener:
             address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
             if not quiet:
@@ -128,27 +132,12 @@ def serve(
                 )
             if opens:
                 webbrowser.open(address)
-            _serve(app, len(files), listener, address if listens else None)
-
-
-def _app(files: tuple[str, ...], host: str, hosts: tuple[str, ...], **options: Any) -> Any:
-    """Return the web application."""
-    from terrainwave.ext.serve.app import make_app
-
-    named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
-    return make_app(list(files), hosts=named, **options)
-
-
-def _serve(app: Any, n_files: int, listener: socket.socket, address: str | None) -> None:
-    """Serve until the server ends; with an address, also serve files named on stdin."""
-    from terrainwave.ext.serve.client_limits import server_of
-
-    server = server_of(app, n_files=n_files)
-    if address is not None:
-        arguments = app.state.shelf.add, address, server
-        threading.Thread(target=_serve_named, args=arguments, daemon=True).start()
-    server.run(sockets=[listener])
-    interrupts.check()
+            server = server_of(app, n_files=len(files))
+            if listens:  # also serve files named on stdin
+                arguments = app.state.shelf.add, address, server
+                threading.Thread(target=_serve_named, args=arguments, daemon=True).start()
+            server.run(sockets=[listener])
+            interrupts.check()
 
 
 @contextmanager
@@ -192,13 +181,7 @@ def _answer(add: Callable[[str], Any], file: str, address: str) -> dict[str, Any
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the address.
-
-    Raises
-    ------
-    StorageError
-        If the address is not available.
-    """
+    """Return a socket bound to the address."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:

@@ -79,7 +79,6 @@ def verify(paths: tuple[str, ...], originals: str | None, **options: Any) -> Non
 def _verify(
     path: str, original: str | None = None, *, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Check one file."""
     import terrainwave
 
     ctx = click.get_current_context()

@@ -55,11 +55,6 @@ def web_address(url: str) -> SplitResult:
 
     Spaces and other invalid characters are percent-encoded; existing encoding stays. Host names are
     encoded by IDNA. The fragment is removed, the login stays.
-
-    Raises
-    ------
-    StorageError
-        If it is not a valid address of a server.
     """
     try:
         parts = urlsplit(url)

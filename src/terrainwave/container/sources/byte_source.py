@@ -3,8 +3,8 @@
 import io
 import os
 import threading
-from collections.abc import Callable, Sequence
-from typing import BinaryIO, Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, BinaryIO
 
 from terrainwave.container.sources.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
@@ -14,61 +14,33 @@ from terrainwave.forks import renew_after_fork
 MAX_WHOLE = 64 << 20
 
 
-@runtime_checkable
-class ByteSource(Protocol):
-    """Random access to a known number of bytes; thread-safe.
+class ByteSource:
+    """Random access to a known number of bytes; thread-safe. Ranges outside them raise.
 
-    A source of a path or URL can be pickled; unpickling opens it again.
+    A source of a path or URL can be pickled; unpickling opens it again. `is_local` means that a
+    request costs little. `_read` may return less only at the end of the source.
     """
 
-    @property
-    def size(self) -> int:
-        """Return the number of bytes."""
-        ...
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Return exactly these bytes; raise `TruncatedStreamError` if there are fewer."""
-        ...
-
-    def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; near ones in one request."""
-        ...
-
-    def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; each is one request."""
-        ...
-
-    def check_unchanged(self) -> None:
-        """Raise `StorageError` if the bytes are known to have changed since the opening."""
-        ...
-
-    def close(self) -> None:
-        """Close files and connections; reading afterwards raises `StorageError`."""
-        ...
-
-
-class MergingSource:
-    """Common parts of all sources; `_read` may return less only at the end of the source."""
-
+    is_local = False
     name: str
     size: int
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`."""
+        """Return exactly these bytes; raise `TruncatedStreamError` if there are fewer."""
         self._check_range(offset, length)
         data = self._read(offset, length) if length else b""
         self._check_length(ByteRange(offset, length), data)
         return data
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order."""
+        """Return the bytes of each range, in the given order; near ones in one request."""
         for wanted in ranges:
             self._check_range(*wanted)
         merged = merge_ranges(ranges)
         return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; in parallel if possible."""
+        """Return the bytes of each range, in the given order; each is one request."""
         for span in spans:
             self._check_range(*span)
         return self._read_spans(spans)
@@ -93,7 +65,7 @@ class MergingSource:
         raise NotImplementedError
 
     def check_unchanged(self) -> None:
-        """Do nothing: an open file does not change, and http compares every reply."""
+        """Raise `StorageError` if the bytes are known to have changed since the opening."""
 
     @property
     def version(self) -> str:
@@ -101,21 +73,74 @@ class MergingSource:
         return ""
 
     def close(self) -> None:
-        """Release resources."""
+        """Close files and connections; reading afterwards raises `StorageError`."""
 
 
-class FileSource(MergingSource):
-    """A local file; `is_local` means that a request costs little."""
+class BufferSource(ByteSource):
+    """Bytes in memory, or a seekable binary file object, which the caller closes."""
+
+    def __init__(self, buffer: bytes | BinaryIO) -> None:
+        self.name = getattr(buffer, "name", None) or "the buffer"
+        self._bytes: bytes | None = None
+        if isinstance(buffer, bytes | bytearray | memoryview):
+            self._bytes = bytes(buffer)
+            buffer = io.BytesIO(self._bytes)
+        try:
+            self._begin(buffer)
+        except (OSError, ValueError) as error:
+            raise StorageError(f"cannot seek in {self.name}: {error}") from error
+
+    def _begin(self, file: BinaryIO) -> None:
+        self._file: BinaryIO | None = file
+        self.renew()
+        renew_after_fork(self)
+        self.size = file.seek(0, os.SEEK_END)
+
+    def renew(self) -> None:
+        """Reset after a fork. The parent still shares a file object's position."""
+        self._lock = threading.Lock()
+
+    def _read(self, offset: int, length: int) -> bytes:
+        file, parts = self._file, []
+        if file is None:
+            raise StorageError(f"{self.name} is closed")
+        try:
+            while length:
+                part = self._some(file, offset, length)
+                if not part:
+                    break
+                parts.append(part)
+                offset += len(part)
+                length -= len(part)
+        except (OSError, ValueError) as error:  # ValueError: closed by another thread
+            raise StorageError(f"cannot read {self.name}: {error}") from error
+        return parts[0] if len(parts) == 1 else b"".join(parts)
+
+    def _some(self, file: BinaryIO, offset: int, length: int) -> bytes:
+        """Return bytes from an offset on; none at the end of the file."""
+        with self._lock:
+            file.seek(offset)
+            return file.read(length)
+
+    def close(self) -> None:
+        """Release the buffer; a file object given by the caller is not closed."""
+        self._file = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._bytes is None:
+            raise TypeError(f"{self.name}: a file object cannot be pickled; open it by its path")
+        return BufferSource, (self._bytes,)
+
+
+class FileSource(BufferSource):
+    """A local file."""
 
     is_local = True
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = os.fspath(path)
-        self.renew()
-        renew_after_fork(self)
         try:
-            self._file: BinaryIO | None = open(self.name, "rb", buffering=0)
-            self.size = self._file.seek(0, os.SEEK_END)
+            self._begin(open(self.name, "rb", buffering=0))
         except IsADirectoryError as error:
             raise StorageError(f"{self.name} is a directory; expected a .twz file") from error
         except OSError as error:
@@ -129,85 +154,15 @@ class FileSource(MergingSource):
         found = os.fstat(self._file.fileno())
         return f"{found.st_dev}-{found.st_ino}-{found.st_mtime_ns}-{found.st_ctime_ns}"
 
-    def renew(self) -> None:
-        self._lock = threading.Lock()
-
-    def _read(self, offset: int, length: int) -> bytes:
-        file = self._file
-        if file is None:
-            raise StorageError(f"{self.name} is closed")
-        try:
-            if hasattr(os, "pread"):
-                return _read_fully(lambda at, n: os.pread(file.fileno(), n, at), offset, length)
-            with self._lock:
-                return _read_fully(lambda at, n: _seek_read(file, at, n), offset, length)
-        except (OSError, ValueError) as error:  # ValueError: closed by another thread
-            raise StorageError(f"cannot read {self.name}: {error}") from error
+    def _some(self, file: BinaryIO, offset: int, length: int) -> bytes:
+        if hasattr(os, "pread"):
+            return os.pread(file.fileno(), length, offset)
+        return super()._some(file, offset, length)
 
     def close(self) -> None:
         file, self._file = self._file, None
         if file is not None:
             file.close()
 
-    def __reduce__(self) -> tuple[type["FileSource"], tuple[str]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         return FileSource, (os.path.abspath(self.name),)
-
-
-class BufferSource(MergingSource):
-    """Bytes in memory, or a seekable binary file object, which the caller closes."""
-
-    def __init__(self, buffer: bytes | BinaryIO) -> None:
-        self.name = getattr(buffer, "name", None) or "the buffer"
-        self.renew()
-        renew_after_fork(self)
-        self._bytes: bytes | None = None
-        if isinstance(buffer, bytes | bytearray | memoryview):
-            self._bytes = bytes(buffer)
-            self._file: BinaryIO = io.BytesIO(self._bytes)
-        else:
-            self._file = buffer
-        self._is_closed = False
-        try:
-            self.size = self._file.seek(0, os.SEEK_END)
-        except (OSError, ValueError) as error:
-            raise StorageError(f"cannot seek in {self.name}: {error}") from error
-
-    def renew(self) -> None:
-        """Reset after a fork. The parent still shares a file object's position."""
-        self._lock = threading.Lock()
-
-    def _read(self, offset: int, length: int) -> bytes:
-        if self._is_closed:
-            raise StorageError(f"{self.name} is closed")
-        try:
-            with self._lock:
-                return _read_fully(lambda at, n: _seek_read(self._file, at, n), offset, length)
-        except (OSError, ValueError) as error:
-            raise StorageError(f"cannot read {self.name}: {error}") from error
-
-    def close(self) -> None:
-        """Release the buffer; a file object given by the caller is not closed."""
-        self._is_closed = True
-
-    def __reduce__(self) -> tuple[type["BufferSource"], tuple[bytes]]:
-        if self._bytes is None:
-            raise TypeError(f"{self.name}: a file object cannot be pickled; open it by its path")
-        return BufferSource, (self._bytes,)
-
-
-def _seek_read(file: BinaryIO, offset: int, length: int) -> bytes:
-    file.seek(offset)
-    return file.read(length)
-
-
-def _read_fully(read_at: Callable[[int, int], bytes], offset: int, length: int) -> bytes:
-    """Call ``read_at(offset, length)`` until all bytes are there or the file ends."""
-    parts = []
-    while length:
-        part = read_at(offset, length)
-        if not part:
-            break
-        parts.append(part)
-        offset += len(part)
-        length -= len(part)
-    return parts[0] if len(parts) == 1 else b"".join(parts)

@@ -102,7 +102,9 @@ class Connections:
     ) -> T:
         """Request `url` and return the result of `take` on the reply.
 
-        A kept connection that fails is replaced at once: servers close them at any time.
+        A kept connection that fails is replaced at once: servers close them at any time. Raises
+        `OSError` or `http.client.HTTPException`: errors below urllib3. Raises `ProxyStatus` if the
+        proxy refuses the connection to the server. Raises `TooSlow` if `most_seconds` have passed.
 
         Parameters
         ----------
@@ -110,15 +112,6 @@ class Connections:
             Seconds without a byte.
         most_seconds : float
             Seconds for the whole reply: a server may send single bytes forever.
-
-        Raises
-        ------
-        OSError, http.client.HTTPException
-            Errors below urllib3.
-        ProxyStatus
-            If the proxy refuses the connection to the server.
-        TooSlow
-            If `most_seconds` have passed.
         """
         with self._turns, _Watch(most_seconds) as watch:
             self._here.watch = watch
@@ -284,10 +277,7 @@ def _is_near(url: SplitResult, no_proxy: str) -> bool:
 def trusted() -> ssl.SSLContext:
     """Return the certificates to trust: those named by the environment, or the system's.
 
-    Raises
-    ------
-    StorageError
-        If a variable names a file without certificates.
+    Raises `StorageError` if a variable names a file without certificates.
     """
     return _context(*map(os.environ.get, (*_CERTIFICATES, "SSL_CERT_DIR")))
 

@@ -13,12 +13,7 @@ SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
 def open_source(source: SourceLike) -> ByteSource:
     """Return a byte source for a path, a URL, bytes or a binary file object.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If it is none of these, or an empty name.
-    StorageError
-        If it cannot be opened or does not serve byte ranges.
+    Raises `StorageError` if it cannot be opened or does not serve byte ranges.
     """
     if isinstance(source, bytes | bytearray | memoryview):
         return BufferSource(bytes(source))

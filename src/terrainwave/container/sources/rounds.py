@@ -33,7 +33,7 @@ class RoundReader:
         n_useful = n_wanted - sum(part.length for part in missing)
         n_wasted = max(0, self._n_read - n_useful)
         budget = budget_of(n_wanted, self._n_requests, n_wasted)
-        if getattr(self._source, "is_local", False):
+        if self._source.is_local:
             budget = budget._replace(most_waste=budget.waste)
         merged = merge_ranges(missing, budget)
         spans = [span for span, _ in merged]

@@ -45,7 +45,6 @@ from terrainwave.container.sources.byte_source import (
     MAX_WHOLE,
     ByteSource,
     FileSource,
-    MergingSource,
 )
 from terrainwave.container.sources.connections import (
     N_CONNECTIONS,
@@ -138,12 +137,10 @@ class _Reply(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Return the status as number and words."""
         return f"{self.status} {http.client.responses.get(self.status, '')}".rstrip()
 
     @property
     def version(self) -> _Version:
-        """Return the version of the file in this reply."""
         return _Version(self.headers.get("ETag"), self.headers.get("Last-Modified"))
 
     @property
@@ -154,7 +151,7 @@ class _Reply(NamedTuple):
         return 0.0
 
 
-class HttpSource(MergingSource):
+class HttpSource(ByteSource):
     """A file on a web server with byte ranges, or a small one on a server without.
 
     Opening is one request, for the first 16 KiB. Retries and error messages are those of the
@@ -277,7 +274,6 @@ class HttpSource(MergingSource):
         self._version = _Version(etag or version.etag, modified or version.modified)
 
     def _refused(self, reply: _Reply) -> StorageError:
-        """Return the error of a status without bytes."""
         problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
             has_login = "@" in reply.proxy
@@ -294,7 +290,7 @@ class HttpSource(MergingSource):
         elif reply.proxy:
             problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"
         elif reply.status == 401 and not is_signed(reply.url):
-            problem = _WRONG_LOGIN if self._logs_in(reply.url) else _NO_LOGIN
+            problem = _WRONG_LOGIN if self._login(urlsplit(reply.url)) else _NO_LOGIN
             problem = problem.format(reply.reason)
         elif reply.status in _MAY_EXPIRE and has_expired(reply.url, reply.body.decode("latin-1")):
             problem = f"the URL has expired ({reply.reason}); get a new one and open it again"
@@ -304,9 +300,6 @@ class HttpSource(MergingSource):
             problem += f"; the server asks to wait {math.ceil(reply.seconds_to_wait)} s"
         kind = SourceUnavailableError if reply.status in _BUSY else StorageError
         return kind(f"cannot read {self.name}: {problem}")
-
-    def _logs_in(self, url: str) -> bool:
-        return "Authorization" in self._headers(urlsplit(url), None)
 
     def _ask(self, wanted: ByteRange | None) -> _Reply:
         """Return the first reply that is neither a redirect nor from a busy server."""
@@ -389,14 +382,15 @@ class HttpSource(MergingSource):
         etag = self._version.etag or ""
         if etag.startswith('"') and self._obeys_if_match:  # a strong ETag: weak ones never match
             headers["If-Match"] = etag
-        if login := basic_login(url) or (self._is_named_server(url) and basic_login(self._named)):
+        if login := self._login(url):
             headers["Authorization"] = login
         return headers
 
-    def _is_named_server(self, url: SplitResult) -> bool:
-        """Return whether a login for the opened URL may be sent to a redirect's URL."""
+    def _login(self, url: SplitResult) -> str | None:
+        """Return the login for a URL: its own, or that of the opened URL for the same server."""
         named, other = origin(self._named), origin(url)
-        return named == other or (named[1] == other[1] and (named[2], other[2]) == (80, 443))
+        is_same = named == other or (named[1] == other[1] and (named[2], other[2]) == (80, 443))
+        return basic_login(url) or (basic_login(self._named) if is_same else None)
 
     def close(self) -> None:
         """Close all connections; waiting threads get an error."""
@@ -479,7 +473,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-class FsspecSource(MergingSource):
+class FsspecSource(ByteSource):
     """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
 
     Parameters

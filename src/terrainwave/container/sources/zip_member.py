@@ -16,7 +16,6 @@ from terrainwave.container.sources.byte_source import (
     MAX_WHOLE,
     BufferSource,
     ByteSource,
-    MergingSource,
 )
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
@@ -27,20 +26,16 @@ _LOCAL_HEADER = 30
 _DAMAGE = (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, zlib.error, struct.error)
 
 
-class MemberSource(MergingSource):
+class MemberSource(ByteSource):
     """Bytes `start` to `start + size` of another source."""
 
     def __init__(self, name: str, archive: ByteSource, start: int, size: int) -> None:
         self.name, self._archive, self._start, self.size = name, archive, start, size
+        self.is_local = archive.is_local
 
     @property
     def n_replies(self) -> int:
-        """Return the number of replies so far."""
         return int(getattr(self._archive, "n_replies", 0))
-
-    @property
-    def is_local(self) -> bool:
-        return bool(getattr(self._archive, "is_local", False))
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         return self._archive.read_spans(
@@ -63,10 +58,7 @@ class MemberSource(MergingSource):
 def open_member(path: str, source: ByteSource) -> ByteSource:
     """Return the source of the file `path` in a zip; closes the zip's source on failure.
 
-    Raises
-    ------
-    StorageError
-        If the archive or the file in it cannot be read.
+    Raises `StorageError` if the archive or the file in it cannot be read.
     """
     try:
         return _member(path.lstrip("/"), source)
@@ -76,7 +68,7 @@ def open_member(path: str, source: ByteSource) -> ByteSource:
 
 
 def _member(path: str, source: ByteSource) -> ByteSource:
-    at = getattr(source, "name", "the archive")
+    at = source.name
     name = f"zip://{path}::{at}"
     try:
         with zipfile.ZipFile(_AsFile(source)) as archive:

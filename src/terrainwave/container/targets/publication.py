@@ -83,13 +83,14 @@ def publish(
     part = None
     is_published = False
     try:
-        part = _create_part(final, created)
+        part = create_locked(final, SUFFIX, created, f"cannot write {final}")
         with naming_full_disk(f"cannot write {target}"):
             yield part
         with storage_errors(f"cannot write {target}"):
             part.file.flush()
             os.fsync(part.file.fileno())
-            _copy_permissions(final, part.path)
+            with suppress(FileNotFoundError):
+                os.chmod(part.path, stat.S_IMODE(os.stat(final).st_mode))
         _check_target(final, overwrite)
         if not can_rename_open_files():
             part.file.close()
@@ -167,7 +168,8 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
     created: list[Path] = []
     part = None
     try:
-        part = _create_part(Path(os.path.realpath(target)), created)
+        final = Path(os.path.realpath(target))
+        part = create_locked(final, SUFFIX, created, f"cannot write {final}")
         yield part
     finally:
         dispose(part, created)
@@ -320,15 +322,6 @@ def beside(part: Path) -> list[Path]:
     """Return GDAL's files next to an unfinished one, such as overviews of a COG."""
     prefix = f"{part.name}."
     return [part.with_name(name) for name in listed(part.parent) if name.startswith(prefix)]
-
-
-def _create_part(final: Path, created: list[Path]) -> Part:
-    return create_locked(final, SUFFIX, created, f"cannot write {final}")
-
-
-def _copy_permissions(final: Path, part: Path) -> None:
-    with suppress(FileNotFoundError):
-        os.chmod(part, stat.S_IMODE(os.stat(final).st_mode))
 
 
 def _replace(part: Path, final: Path) -> None:

@@ -123,13 +123,7 @@ def _opened(path: Path, flags: int, mode: str, name: Path) -> BinaryIO:
 
 @contextmanager
 def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
-    """Exclude other writers of `target` while the block runs, by locking a file in `beside`.
-
-    Raises
-    ------
-    StorageError
-        If another run holds the lock, or the file cannot be made.
-    """
+    """Exclude other writers of `target` while the block runs, by locking a file in `beside`."""
     path = own_path(target, beside, RUN_SUFFIX)
     file = None
     while file is None:

@@ -87,7 +87,6 @@ class _Target:
         self._fs, self.path = self._call(fsspec.url_to_fs, url)
 
     def exists(self) -> bool:
-        """Return whether a file of this name exists."""
         return bool(self._call(self._fs.exists, self.path))
 
     def put(self, path: Path) -> None:

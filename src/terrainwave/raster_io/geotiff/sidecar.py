@@ -39,12 +39,8 @@ def forget_measured(path: str | os.PathLike[str]) -> list[str]:
     """Remove GDAL's statistics of a raster whose heights have changed; return notes.
 
     Statistics and histograms are removed from the .aux.xml next to it, and overviews with their
-    file. The rest of the .aux.xml stays.
-
-    Raises
-    ------
-    StorageError
-        If a file cannot be written or removed.
+    file. The rest of the .aux.xml stays. Raises `StorageError` if a file cannot be written or
+    removed.
     """
     notes = []
     for name in sorted({os.path.realpath(path), os.path.abspath(path)}):
@@ -81,10 +77,7 @@ def write_beside(
 ) -> None:
     """Write CRS, epoch and unit of a raster's band to its .aux.xml, which GDAL reads first.
 
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
+    Raises `StorageError` if it cannot be written.
     """
     target = Path(f"{os.fspath(path)}{SIDECAR}")
     content = ElementTree.Element("PAMDataset")

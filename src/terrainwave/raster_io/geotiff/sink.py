@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -234,15 +233,7 @@ class RasterSink:
         yield from scan_windows(info.n_rows, info.n_cols, TILE, TILE, max_samples)
 
     def write(self, row: int, col: int, heights: np.ndarray, valid: np.ndarray) -> None:
-        """Write the window at (row, col); void samples get nodata, `heights` is not changed.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a sample is void although the raster has no way to mark voids.
-        StorageError
-            If the disk is full or fails.
-        """
+        """Write the window at (row, col); void samples get nodata, `heights` is not changed."""
         info = self.info
         if not valid.all():
             if info.mask_kind == "none":
@@ -281,7 +272,10 @@ class RasterSink:
                     self._translate_to_cog()
                     self._check_complete(self._target)
             except GDAL_ERRORS as error:
-                self._remove_overviews()
+                # GDAL's file next to a COG while it computes overviews.
+                for path in beside(self._target):
+                    with contextlib.suppress(OSError):
+                        path.unlink()
                 if isinstance(error, StorageError):
                     raise
                 raise self._cannot_write(error) from error
@@ -344,21 +338,10 @@ class RasterSink:
         # GDAL reports where it failed to write, but libtiff hides the reason.
         return cannot_write(self._path, _refusal(self._part.parent) or one_line(error))
 
-    def _remove_overviews(self) -> None:
-        """Remove the file that GDAL makes next to a COG while it computes overviews."""
-        for path in beside(self._target):
-            with contextlib.suppress(OSError):
-                path.unlink()
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is None:
             self.close()
         else:

@@ -81,17 +81,14 @@ def sparse_geotiff(
 ) -> tuple[bytes, list[Plane]]:
     """Return the head of a GeoTIFF and its planes, the coarsest first.
 
+    Raises `LimitExceededError` if the head would be longer than some 100 MB.
+
     Parameters
     ----------
     n_overviews : int
         Overviews of half, a quarter, … of the size.
     stated : mapping of str
         Items of the band's metadata, in `DOMAIN`. Overviews do not have them.
-
-    Raises
-    ------
-    LimitExceededError
-        If the head would be longer than some 100 MB.
     """
     tile = _tile_side(info)
     # Overviews and mask add less than half.
@@ -114,13 +111,7 @@ def sparse_geotiff(
 
 
 def _tile_side(info: RasterInfo) -> int:
-    """Return the side of the tiles: the head, which is read whole, has an entry for each tile.
-
-    Raises
-    ------
-    LimitExceededError
-        If there are too many tiles of the largest size.
-    """
+    """Return the side of the tiles: the head, which is read whole, has an entry for each tile."""
     for side in (TILE, 2 * TILE, 4 * TILE):
         n_tiles = -(-info.n_rows // side) * -(-info.n_cols // side)
         if n_tiles <= (_MANY_TILES if side < 4 * TILE else _MOST_TILES):

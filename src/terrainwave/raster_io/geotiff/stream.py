@@ -43,13 +43,7 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         return rasterio.open(name, driver=driver, sharing=sharing, opener=self.opener, **options)
 
     def opener(self, path: str, mode: str = "rb") -> "GeoTIFFStream":
-        """Return a stream of the same bytes: ``rasterio.open("dem.tif", opener=stream.opener)``.
-
-        Raises
-        ------
-        FileNotFoundError
-            Unless the path ends like that of a GeoTIFF: no other files exist.
-        """
+        """Return a stream of the same bytes: ``rasterio.open("dem.tif", opener=stream.opener)``."""
         if not path.endswith(_ENDINGS) or "r" not in mode:
             raise FileNotFoundError(path)
         return GeoTIFFStream(self._file)

@@ -44,12 +44,7 @@ class LabelledArray(NamedTuple):
 def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
     """Return the only layer of heights in a DataArray; `source` is the object it was taken from.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If there are several layers, or x, y or the positions of samples are not stated.
-    InvalidArgumentError
-        If there is no such band.
+    Raises `InvalidArgumentError` if there is no such band.
     """
     crs, notes = crs_of(array, source)
     roles = _roles(array, source)
@@ -81,13 +76,7 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
 
 
 def variable_of(source: Any) -> Any:
-    """Return the DataArray of heights: `source` itself, or its only variable of heights.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a Dataset or a node of a DataTree has several or none.
-    """
+    """Return the DataArray of heights: `source` itself, or its only variable of heights."""
     if hasattr(source, "to_dataset") and hasattr(source, "children"):
         kind, groups = "DataTree", list(map(str, source.children))
         source = source.to_dataset()

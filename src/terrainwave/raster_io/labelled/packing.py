@@ -67,13 +67,7 @@ def numbers_of(value: Any) -> list[int | float]:
 
 
 def number_of(fields: Any, name: str, default: float) -> float:
-    """Return an attribute as one number.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it has another value.
-    """
+    """Return an attribute as one number."""
     if name not in fields:
         return default
     numbers = numbers_of(fields[name])

@@ -53,7 +53,6 @@ def mapping_of(array: Any) -> dict[str, Any]:
 
 
 def crs_of(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
-    """Return the CRS, and notes on it."""
     for owner in (array, source):
         with contextlib.suppress(AttributeError):
             if owner.rio.crs is not None:
@@ -142,11 +141,6 @@ def transform_of(
     change when the array is cut, flipped or thinned: the centres then show which samples these are.
     So they do for `told`, the attribute, with which coordinates may also be corners. None if the
     positions are unknown.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the coordinates follow no affine transform, or are not numbers of the CRS.
     """
     shape = array.shape[0], array.shape[1]
     stored = stored_transform(array)

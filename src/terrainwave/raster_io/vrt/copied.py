@@ -9,6 +9,7 @@ import rasterio.shutil
 from rasterio.io import MemoryFile
 
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
+from terrainwave.raster_io.vrt import text_of
 
 _TABLE = "its raster attribute table"
 _OTHERS = {"GDALRasterAttributeTable": _TABLE, "CategoryNames": "its category names"}
@@ -42,9 +43,8 @@ def unreported(dataset: Any, band: int) -> Unreported:
 
 
 def _vrt_of(dataset: Any) -> str:
-    """Return the XML of a dataset as a VRT."""
     if dataset.driver == "VRT":
-        return "".join(dataset.tags(ns="xml:VRT").values())
+        return text_of(dataset)
     with bounded_env(), MemoryFile(ext=".vrt") as memory:
         rasterio.shutil.copy(dataset, memory.name, driver="VRT")
         return bytes(memory.read()).decode()

@@ -14,6 +14,7 @@ import rasterio
 from rasterio.vrt import WarpedVRT
 
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
+from terrainwave.raster_io.vrt import path_of, rectangles_of, text_of
 
 _HEAD = b"<VRTDataset"
 # A file may begin with a byte order mark and an XML declaration.
@@ -31,7 +32,7 @@ _DEPENDS = (
 
 def is_warped(dataset: Any) -> bool:
     """Return True for a VRT that is warped when it is read, exactly or not."""
-    return "VRTWarpedDataset" in "".join(dataset.tags(ns="xml:VRT").values())[:1000]
+    return "VRTWarpedDataset" in text_of(dataset)[:1000]
 
 
 def remark_on_windows(dataset: Any) -> str | None:
@@ -88,7 +89,7 @@ def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
     inner = getattr(dataset, "src_dataset", None)
     if isinstance(inner, WarpedVRT) and depth < _MOST_NESTED:  # it has no name to open it by
         found.add(_kind_of(inner, seen, depth + 1) or "")
-    text = "".join(dataset.tags(ns="xml:VRT").values())
+    text = text_of(dataset)
     if len(text) > _MOST_BYTES:
         return None
     try:
@@ -96,7 +97,10 @@ def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
     except ET.ParseError:
         return None
     found |= set(_own_kinds(root))
-    for name in dict.fromkeys(_sources(root, _folder_of(str(dataset.name)))):
+    own = str(dataset.name)  # or a connection string, or the XML itself
+    folder = "" if own.startswith("<") else os.path.dirname(own.removeprefix("vrt://"))
+    sources = (one for one in root.iter() if one.tag in _NAMES and one.text)
+    for name in dict.fromkeys(path_of(one, folder) for one in sources):
         if "warped" in found or depth >= _MOST_NESTED:
             break
         if name not in seen and _may_be_vrt(name):
@@ -117,30 +121,12 @@ def _own_kinds(root: ET.Element) -> Iterator[str]:
     for source in root.iter():
         if source.get("resampling", "nearest").lower() in ("nearest", "near"):
             continue
-        found = [source.find(name) for name in ("SrcRect", "DstRect")]
-        rectangles = [
-            [float(one.get(name, "0")) for name in ("xOff", "yOff", "xSize", "ySize")]
-            for one in found
-            if one is not None
-        ]
+        rectangles = rectangles_of(source, 0)
         if len(rectangles) == 2:
-            (*first, width, height), (*last, new_width, new_height) = rectangles
+            (*first, height, width), (*last, new_height, new_width) = rectangles
             is_moved = not all(offset.is_integer() for offset in (*first, *last))
             if is_moved or (width, height) != (new_width, new_height):
                 yield "resampled"
-
-
-def _folder_of(name: str) -> str:
-    """Return the folder of a VRT, from its name or its connection string."""
-    return "" if name.startswith("<") else os.path.dirname(name.removeprefix("vrt://"))
-
-
-def _sources(root: ET.Element, folder: str) -> Iterator[str]:
-    """Yield the names of a VRT's sources; relative names start at its folder."""
-    for element in root.iter():
-        if element.tag in _NAMES and element.text:
-            is_relative = element.get("relativeToVRT", "0") == "1"
-            yield os.path.join(folder, element.text) if is_relative else element.text
 
 
 def _may_be_vrt(name: str) -> bool:

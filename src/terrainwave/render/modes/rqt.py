@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.read.tile_decoder import Tiles, with_coefficients
+from terrainwave.read.tile_decoder import TiledDecoder, with_coefficients
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame
 from terrainwave.render.modes.mode import ERRORS, ModeNeeds
 from terrainwave.render.scene.selection import Piece
@@ -27,7 +27,7 @@ class RqtMode(FrontMode):
 
     def __init__(self, needs: ModeNeeds) -> None:
         super().__init__(needs)
-        self._tiles: Tiles | None = None
+        self._tiles: TiledDecoder | None = None
         if self.error == "coefficient":
             self._tiles = with_coefficients(self.terrain.decoder)
 
