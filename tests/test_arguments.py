@@ -65,8 +65,8 @@ WRONG = {
     },
     "verify": {
         "twz": PATH, "original": PATH, "max_error": NUMBER, "band": WHOLE, "nodata": VALUE,
-        "heights_are": WORD, "part": FLAG, "root": WORD, "mesh": FLAG, "threads": WHOLE,
-        "progress": CALLABLE,
+        "heights_are": WORD, "part": FLAG, "root": WORD, "window": FOUR, "mesh": FLAG,
+        "threads": WHOLE, "progress": CALLABLE,
     },
     "store_meshes": OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "mesh": WORD, "mesh_error": NUMBER, "original": [5, ""],

@@ -238,3 +238,31 @@ def test_what_is_no_root_is_refused(tmp_path, root):
     path, _ = altered(tmp_path, has_new_digests=True)
     with pytest.raises(InvalidArgumentError, match="expected 64 hexadecimal digits"):
         tw.verify(path, root=root)
+
+
+@pytest.mark.large
+def test_a_window_is_checked_by_the_digests_of_its_squares(tmp_path):
+    """Three squares of 4096 samples beside each other; heights of the last one are other ones."""
+    heights = np.zeros((40, 9000), np.int16)
+    heights[:, 8500:] = np.arange(500)
+    path = tmp_path / "a.twz"
+    tw.compress(heights, path, max_error=0, method="store")
+    with tw.open(path) as terrain:
+        root = terrain.digest()
+    heights[3, 8600] += 7
+    tw.compress(heights, tmp_path / "b.twz", max_error=0, method="store")
+    editor = Editor((tmp_path / "b.twz").read_bytes())
+    editor.end = path.read_bytes()[-(32 * 4 + 8) :]  # the top and three leaves
+    forged = tmp_path / "c.twz"
+    forged.write_bytes(editor.bytes())
+    assert tw.verify(forged, window=(0, 0, 40, 8000), root=root).ok
+    (problem,) = tw.verify(forged, window=(0, 8190, 10, 10)).problems
+    assert "40 x 808 samples from row 0, column 8192" in problem
+    assert not tw.verify(forged).ok
+    (problem,) = tw.verify(forged, window=(0, 0, 9, 9), root="0" * 64).problems
+    assert "expected 000" in problem
+    with pytest.raises(InvalidArgumentError, match="expected one of them"):
+        tw.verify(forged, window=(0, 0, 9, 9), mesh=True)
+    tw.compress(heights, path, digest=False, overwrite=True)
+    (problem,) = tw.verify(path, window=(0, 0, 9, 9)).problems
+    assert "no digests" in problem

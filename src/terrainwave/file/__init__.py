@@ -448,15 +448,19 @@ class TerrainFile(DescribedFile):
         tree = self.container.digests()
         return None if tree is None else tree.root(self.header)
 
-    def check(self, root: str | None = None) -> Iterator[str]:
+    def check(self, root: str | None = None, window: Any = None) -> Iterator[str]:
         """Check all checksums and decode every unit; yield problems, in plain words.
 
         Heights are compared with the file's digests, if any, and with `root`, a root as `digest`
-        returns it.
+        returns it. With `window` (row, col, n_rows, n_cols) only that part of the full grid is
+        decoded and compared, in squares of 4096 x 4096 samples.
         """
-        from terrainwave.read.check import check_units
+        from terrainwave.read.check import check_units, check_window
 
-        return check_units(self.container, self.decoder, root)
+        if window is None:
+            return check_units(self.container, self.decoder, root)
+        region = self.checked_window(window).region
+        return check_window(self.container, self.decoder, region, root)
 
     def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
         n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize

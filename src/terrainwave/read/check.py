@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import ANY
 from terrainwave.codec.refiner import ALL_VALID, Decoded
-from terrainwave.container.digests import TILE, Place, TileDigests, tile_digests
+from terrainwave.container.digests import (
+    FAN,
+    TILE,
+    DigestTree,
+    Place,
+    TileDigests,
+    tile_digests,
+)
+from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
@@ -33,6 +41,56 @@ def check_units(
     if walk.digests is not None and not walk.lost:
         yield from walk.digests.problems(root)
     yield from _shares(container.grid, walk.lost)
+
+
+def check_window(
+    container: Container, decoder: TreeDecoder, window: Region, root: str | None = None
+) -> Iterator[str]:
+    """Compare a window of the full grid with the file's digests; yield problems.
+
+    Leaves of 4096 x 4096 samples that the window touches are decoded, and nothing else. `root` is
+    compared with that of the digests.
+    """
+    header, grid = container.header, container.grid
+    stored = container.digests()
+    if stored is None:
+        yield "the file has no digests, which a check of a window needs"
+        return
+    yield from _other_root(stored, header, root)
+    windows = WindowReader("", header, 1, lambda: decoder)
+    whole, side = Region(0, 0, grid.n_rows, grid.n_cols), TILE * FAN
+    rows = range(window.row // side, (window.row + window.n_rows - 1) // side + 1)
+    cols = range(window.col // side, (window.col + window.n_cols - 1) // side + 1)
+    tiles = TileDigests(stored.shape)
+    for row, col, i in product(rows, cols, range(FAN)):
+        strip = Region(row * side + i * TILE, col * side, TILE, side).intersect(whole)
+        if strip.n_rows:
+            tiles.add(tile_digests(strip, *_valid_heights(windows, grid.k_max, strip)))
+    found = tiles.tree().leaves
+    for place in product(rows, cols):
+        if found.get(place) != stored.leaves.get(place):
+            yield _false_digest(Region(place[0] * side, place[1] * side, side, side), whole)
+
+
+def _valid_heights(
+    windows: WindowReader, level: int, region: Region
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    raw, void = windows.read(level, region, voids=ANY)
+    return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
+
+
+def _false_digest(leaf: Region, whole: Region) -> str:
+    leaf = leaf.intersect(whole)
+    return (
+        f"heights of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row}, column {leaf.col}"
+        " are not those of their digest"
+    )
+
+
+def _other_root(tree: DigestTree, header: Header, root: str | None) -> Iterator[str]:
+    found = tree.root(header)
+    if root is not None and found != root:
+        yield f"the root of the heights is {found}, expected {root}"
 
 
 def _shares(grid: Grid, lost: list[Block]) -> Iterator[str]:
@@ -144,8 +202,7 @@ class _Digests:
             if all(self._even.of_unit(unit) == height for unit in units):
                 raw = self._container.header.quantizer.dequantize(np.array([[height]], np.int32))
                 return np.broadcast_to(raw, region.shape), np.ones(region.shape, np.bool_)
-        raw, void = self._windows.read(level, region, voids=ANY)
-        return raw, np.ones(region.shape, dtype=np.bool_) if void is None else ~void
+        return _valid_heights(self._windows, level, region)
 
     def begin(self) -> None:
         """Begin a finest segment that others may equal."""
@@ -176,13 +233,8 @@ class _Digests:
             stored = None
         if stored is not None:
             for leaf in tree.differences(stored):
-                yield (
-                    f"heights of {leaf.n_rows} x {leaf.n_cols} samples from row {leaf.row}, column"
-                    f" {leaf.col} are not those of their digest"
-                )
-        found = tree.root(self._container.header)
-        if root is not None and found != root:
-            yield f"the root of the heights is {found}, expected {root}"
+                yield _false_digest(leaf, leaf)
+        yield from _other_root(tree, self._container.header, root)
 
 
 def _tiles_ending_in(index: int, n_samples: int, side: int, n_units: int) -> Iterator[int]:

@@ -128,6 +128,7 @@ def verify(
     part: bool = False,
     mesh: bool = False,
     root: str | None = None,
+    window: Any = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> VerifyReport:
@@ -164,6 +165,9 @@ def verify(
     root : str, optional
         The published root of the heights (`Terrain.digest`), 64 hexadecimal digits. Not with
         `original`. The file need not have digests.
+    window : tuple of int, optional
+        Row, column, rows and columns: check this part of the full grid alone, by the digests of the
+        squares of 4096 x 4096 samples that it touches. Not with `original` or `mesh`.
     threads : int, optional
         Threads that decode; the number of processors by default.
     progress : callable, optional
@@ -177,7 +181,8 @@ def verify(
     Raises
     ------
     InvalidArgumentError
-        If `part` comes without `original`, or with `mesh`; or `root` with `original`.
+        If `part` comes without `original`, or with `mesh`; `root` with `original`; or `window` with
+        one of the last two.
     TerrainwaveError
         If one of the files cannot be opened at all.
 
@@ -200,6 +205,12 @@ def verify(
             " the raster of a part of the file: only its heights are compared"
         )
     root = _checked_root(root, original)
+    if window is not None and (original is not None or mesh):
+        other = "original" if original is not None else "mesh"
+        raise InvalidArgumentError(
+            f"found `window` with `{other}`, expected one of them: a window is compared with the"
+            " file's digests"
+        )
     check_callback(progress)
     max_error = checked_error("max_error", max_error)
     band = checked_whole("band", band, least=1)
@@ -214,7 +225,7 @@ def verify(
     on_error = RAISE if original is not None else MASK
     with Terrain(twz, threads=threads, on_error=on_error) as terrain:
         if original is None:
-            problems = tuple(_problems_of_bytes(terrain, root))
+            problems = tuple(_problems_of_bytes(terrain, root, window))
             report = _report(terrain, twz, max_error, original=None, errors=None, problems=problems)
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with opened(os.fspath(original)) as dataset:
@@ -250,12 +261,12 @@ def _checked_root(root: Any, original: Any) -> str | None:
     return root.lower()
 
 
-def _problems_of_bytes(terrain: Any, root: str | None) -> Iterator[str]:
+def _problems_of_bytes(terrain: Any, root: str | None, window: Any) -> Iterator[str]:
     """Yield the problems of a file by itself, each once; of many problems the first and last."""
     missing, n_bytes = terrain.container.n_missing, terrain.container.extents.file_size
     if missing:
         yield f"the file has {n_bytes - missing:,} of its {n_bytes:,} bytes"
-    problems = list(dict.fromkeys(terrain.check(root)))
+    problems = list(dict.fromkeys(terrain.check(root, window)))
     # The lost shares of levels come last.
     n_left_out = len(problems) - _MOST_LISTED - terrain.n_levels
     if n_left_out > 0:

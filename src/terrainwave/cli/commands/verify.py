@@ -22,7 +22,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.option_sets import NODATA
+from terrainwave.option_sets import NODATA, WINDOW
 from terrainwave.place.meaning import KINDS
 from terrainwave.progress import ProgressCallback
 
@@ -49,6 +49,12 @@ from terrainwave.progress import ProgressCallback
     "--root",
     metavar="HEX",
     help="Published root of FILE's heights, as info prints it: without ORIGINAL.",
+)
+@click.option(
+    "--window",
+    type=OfKind(WINDOW),
+    help="Check this part of FILE alone, by the digests of the squares of 4096 x 4096 samples that"
+    " it touches: without ORIGINAL.",
 )
 @click.option("--mesh", is_flag=True, help="Check errors, borders and coverage of all meshes, too.")
 @THREADS_OPTION
@@ -87,17 +93,19 @@ def _verify(
         _refuse_unfit_without_original(ctx)
     file = Input().convert(path, None, ctx)
     raster = None if original is None else Input().convert(original, None, ctx)
-    if original is not None and options["root"] is not None:
-        raise click.UsageError(
-            "found --root and ORIGINAL, expected one of them: the root stands for FILE's heights"
-        )
+    for name in ("root", "window"):
+        if original is not None and options[name] is not None:
+            raise click.UsageError(
+                f"found --{name} and ORIGINAL, expected one of them: heights are compared with"
+                " FILE's digests"
+            )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, raster, progress=bar, **options)
     if as_json:
         print_json(report.to_dict())
     elif not quiet:
-        _print_report(report, options["root"])
+        _print_report(report, options["root"], options["window"] is not None)
     finish(int(not report.ok))
 
 
@@ -151,8 +159,9 @@ def _verify_all(
         )
 
     _refuse_meshes_of_a_part(**options)
-    if options["root"] is not None:
-        raise click.UsageError("found --root and several files, expected one FILE")
+    for name in ("root", "window"):
+        if options[name] is not None:
+            raise click.UsageError(f"found --{name} and several files, expected one FILE")
     if originals is None:
         _refuse_unfit_without_original(click.get_current_context())
     announce_compiling(quiet=quiet)
@@ -165,7 +174,7 @@ def _verify_all(
     )  # fmt: skip
 
 
-def _print_report(report: Any, root: str | None) -> None:
+def _print_report(report: Any, root: str | None, is_window: bool) -> None:
     from terrainwave.verification.original import place_text
 
     for problem in report.problems:
@@ -192,7 +201,8 @@ def _print_report(report: Any, root: str | None) -> None:
     if report.original is None:
         click.echo("no heights compared: give the ORIGINAL raster for that")
         if report.ok and (root or report.root):
-            click.echo(_digests_in_words(report.root, root))
+            where = " around the window" * is_window
+            click.echo(_digests_in_words(report.root, root, where))
         if report.earlier:
             click.echo(f"made from {files_before(report.earlier)}")
     if report.mesh is not None:
@@ -200,11 +210,11 @@ def _print_report(report: Any, root: str | None) -> None:
     click.echo("ok" if report.ok else "not ok")
 
 
-def _digests_in_words(own: str | None, published: str | None) -> str:
+def _digests_in_words(own: str | None, published: str | None, where: str) -> str:
     if published is not None:
-        return "the heights and where they lie are those of the published root"
+        return f"the heights{where} and where they lie are those of the published root"
     return (
-        f"consistent: the heights are those of the file's own digests, root {own} (--root compares"
+        f"consistent: the heights{where} are those of the file's own digests, root {own} (--root compares"
         " with a published root)"
     )
 
