@@ -214,8 +214,8 @@ def _digests_in_words(own: str | None, published: str | None, where: str) -> str
     if published is not None:
         return f"the heights{where} and where they lie are those of the published root"
     return (
-        f"consistent: the heights{where} are those of the file's own digests, root {own} (--root compares"
-        " with a published root)"
+        f"consistent: the heights{where} are those of the file's own digests, root {own} (--root"
+        " compares with a published root)"
     )
 
 
