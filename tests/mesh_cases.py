@@ -196,7 +196,7 @@ def write_case(case, directory):
 
 
 def reader(case):
-    """Return what `verify_meshes` reads originals with."""
+    """Return what `MeshVerification` reads originals with."""
 
     def read(region):
         part = region.slices_in(Region(0, 0, *case.heights.shape))

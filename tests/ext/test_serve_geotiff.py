@@ -52,7 +52,8 @@ def test_a_range_is_that_part(client):
     assert len(whole.content) == int(whole.headers["content-length"])
     part = client.get("/hills.tif", headers={"Range": "bytes=100000-2400000"})
     assert part.status_code == 206
-    assert part.headers["content-range"] == f"bytes 100000-2400000/{len(whole.content)}"
+    last = min(2_400_000, len(whole.content) - 1)
+    assert part.headers["content-range"] == f"bytes 100000-{last}/{len(whole.content)}"
     assert part.content == whole.content[100_000:2_400_001]
 
 

@@ -24,7 +24,7 @@ from terrainwave.mesh.sections import pack_section, unpack_section
 from terrainwave.read.decoder import unit_key
 from terrainwave.tri.stored_kinds import STORED_KINDS
 from terrainwave.tri.zerotree.agreement import border_of
-from terrainwave.verification.mesh_walk import verify_meshes
+from terrainwave.verification.mesh_walk import MeshVerification
 from terrainwave.write.meshes import store_meshes
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 8
@@ -48,11 +48,11 @@ def blocks_of(terrain):
 def check_meshes(terrain, case, kind):
     """Check that all meshes are surfaces, of this kind, and have the errors that they state."""
     assert terrain.mesh_kind == kind
-    report, problems = verify_meshes(terrain, reader(case))
+    report, problems = MeshVerification(terrain, reader(case)).run()
     assert problems == []
     for level in report.levels:
         assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
-    assert verify_meshes(terrain)[1] == []
+    assert MeshVerification(terrain).run()[1] == []
 
 
 @given(case=cases(max_side=130), kind=st.sampled_from(KINDS))

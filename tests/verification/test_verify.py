@@ -70,7 +70,7 @@ class FakeTerrain:
     def even_blocks(self):
         return None
 
-    def check(self, root=None):
+    def check(self, root=None, window=None):
         yield from self.problems
 
     def read(self, window=None, *, masked=False, level=-1):
