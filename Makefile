@@ -172,6 +172,8 @@ long: $(VENV)/.installed-bench $(VENV)/.installed-dev system
 	TERRAINWAVE_NATIVE=1 $(BIN)/python -m benchmarks.both_encoders
 	$(BIN)/python -m benchmarks.captions "$(DATA)" --size $(SIZE)
 	$(BIN)/python tools/check_capsule.py "$(DATA)"/*.tif
+	$(BIN)/python -m benchmarks.altered
+	$(BIN)/python -m benchmarks.one_sided
 	$(BIN)/python -m faults.run --only signals --signals 223
 
 bench: $(VENV)/.installed-bench

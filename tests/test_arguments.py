@@ -49,11 +49,11 @@ WRONG = {
         "dst": PATH, "heights_are": WORD, "mesh_error": NUMBER, "measure_meshes": FLAG,
         "height_range": [5, "1,2", (1,), (2, 1), (0, float("nan"))],
         "keep_origin": FLAG, "temp_dir": PATH, "fresh": FLAG, "task_samples": WHOLE,
-        "client": ANYTHING, "digest": CHOICE,
+        "client": ANYTHING, "digest": CHOICE, "bound": WORD,
     },
     "compress_to_bytes": {name: OF_RASTERS[name] for name in ("src", "nodata", "georeference")}
     | OF_CODING
-    | {"heights_are": WORD, "digest": CHOICE},
+    | {"heights_are": WORD, "digest": CHOICE, "bound": WORD},
     "decompress": OF_WINDOWS | OF_FILES | {
         "src": [5, None, ""], "dst": PATH, "bounds": FOUR, "cog": FLAG, "voids": WORD,
         "quality": NUMBER, "vertical": WORD, "on_error": WORD, "on_lost": CALLABLE,

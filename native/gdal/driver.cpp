@@ -652,6 +652,7 @@ void Dataset::Describe() {
   own.SetNameValue("BLOCK_SIZE", std::to_string(info.block_size).c_str());
   own.SetNameValue("MESH", info.mesh_name);
   if (!kind.empty()) own.SetNameValue("HEIGHTS_ARE", kind.c_str());
+  if (info.bound_side && IsFinest()) own.SetNameValue("BOUND", info.bound_side > 0 ? "above" : "below");
   if (proof == "none") own.SetNameValue("PROOF", "none");
   if (info.software) own.SetNameValue("SOFTWARE", info.software);
   if (!IsOverview()) own.SetNameValue("LEVEL", std::to_string(grid_.level - info.n_levels).c_str());

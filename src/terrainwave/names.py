@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
+# Sides of the original on which the decoded heights of a file may lie.
+SIDES = BOTH, ABOVE, BELOW = "both", "above", "below"
 DEFAULT_EFFORT = EFFORTS[1]
 # Kinds of meshes, in the order in which files number them.
 MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",

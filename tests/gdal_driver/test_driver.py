@@ -187,6 +187,20 @@ def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described
     assert json.loads(text)["crs"] == "EPSG:32632"
 
 
+def test_the_domain_of_the_format_tells_root_side_and_a_missing_proof(folder):
+    heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
+    terrainwave.compress(heights, folder / "side.twz", max_error=6, bound="below")
+    own = by_python(DESCRIPTION, str(folder / "side.twz"))["own"]
+    with terrainwave.open(folder / "side.twz") as terrain:
+        assert own["ROOT"] == terrain.digest()
+    assert own["BOUND"] == "below"
+    assert "PROOF" not in own
+    terrainwave.compress(heights, folder / "unproved.twz", max_error=6, verify=False)
+    own = by_python(DESCRIPTION, str(folder / "unproved.twz"))["own"]
+    assert own["PROOF"] == "none"
+    assert not {"ROOT", "BOUND"} & set(own)
+
+
 @pytest.fixture(scope="module", params=["cdf53", "cdf97", "predictive", "rapid", "store"])
 def rough(request, folder):
     """Lossless and lossy files of a method, of rough heights with voids, and those heights."""

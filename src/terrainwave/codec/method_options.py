@@ -57,6 +57,13 @@ class MethodOptions(OptionSet):
 
     def check_beside(self, given: Mapping[str, Any]) -> None:
         """Raise `InvalidArgumentError` for options of `compress` that do not go with these."""
+        if "bound" in given and (self.is_faithful or not self.method.has_remainders):
+            fit = methods_that(lambda method: method.has_remainders)
+            found = "`faithful`" if self.is_faithful else f"`method` {self.name}"
+            raise InvalidArgumentError(
+                f"found `bound` {given['bound']} and {found}, expected `method` {fit}, and not"
+                " `faithful`: the others move heights to both sides"
+            )
         if "stable" in given and (self.is_faithful or not self.method.has_remainders):
             fit = methods_that(lambda method: method.has_remainders)
             found = "`faithful`" if self.is_faithful else f"`method` {self.name}"

@@ -20,7 +20,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
+from terrainwave.names import BOTH, MESHES, METHODS, SIDES, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # like PNG's: visibly damaged by a text-mode or 7-bit copy
 FORMAT_VERSION = 2
@@ -167,7 +167,7 @@ class Header:
     def bound_side(self) -> str:
         """Return the side of originals on which heights lie: both, above or below."""
         found = self.metadata.get("bound")
-        return str(found) if found in ("above", "below") else "both"
+        return str(found) if found in SIDES else BOTH
 
     @property
     def is_proved(self) -> bool:
@@ -177,8 +177,10 @@ class Header:
     @property
     def coded_error(self) -> int:
         """Return the largest distance of decoded from quantised original heights, in quanta."""
-        n_sides = 1 if self.bound_side == "both" else 2
-        return n_sides * (self.step >> 1) + self.moved
+        half = self.step >> 1
+        # Off the grid a one-sided file leaves a quantum for rounding.
+        on_one_side = half + (self.rho > 0 and half > 0)
+        return half + (0 if self.bound_side == BOTH else on_one_side) + self.moved
 
     @property
     def quanta_error(self) -> float:

@@ -74,6 +74,8 @@ class Quantizer:
         Smallest and largest quantum of the valid samples.
     remainder_bytes : int
         Bytes per sample of remainders that make heights of the full grid exact, else 0.
+    lift : int
+        Quanta by which `base` moves decoded heights to one side of the originals; 0 for both sides.
     """
 
     dtype: str
@@ -85,6 +87,7 @@ class Quantizer:
     z_min: int
     z_max: int
     remainder_bytes: int = 0
+    lift: int = 0
 
     @property
     def quantum(self) -> float:
@@ -100,9 +103,10 @@ class Quantizer:
     def quanta_error(self) -> float:
         """Return the largest distance of quantised heights from the originals, in raw units.
 
-        ``(step - 1) / 2 * p + rho``: meshes and coarse levels do not use remainders.
+        ``((step - 1) / 2 + |lift|) * p + rho``: meshes and coarse levels do not use remainders.
         """
-        return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
+        n_quanta = (self.step >> 1) + abs(self.lift)
+        return float(n_quanta * Fraction(self.numerator, self.denominator)) + self.rho
 
     @property
     def float_error(self) -> float:
@@ -137,22 +141,23 @@ class Quantizer:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
         from terrainwave.grid import convert
 
+        base = self.base - self.lift
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         is_whole = np.dtype(self.dtype).kind in "iu" and self.rho == 0
         if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8:
             # Needs no compiled kernel.
-            wide = np.int32 if raw.dtype.itemsize < 4 and abs(self.base) < _LARGE else np.int64
-            np.subtract(raw, self.base, out=quanta, dtype=wide, casting="unsafe")
+            wide = np.int32 if raw.dtype.itemsize < 4 and abs(base) < _LARGE else np.int64
+            np.subtract(raw, base, out=quanta, dtype=wide, casting="unsafe")
             if not valid.all():
                 quanta *= valid
             return quanta
         # Kernels are compiled only for contiguous arrays.
         raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
         if is_whole:
-            convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
+            convert.quantize_integers(raw, valid, self.numerator, base, quanta)
         else:
-            convert.quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
+            convert.quantize_floats(raw, valid, self.numerator, self.denominator, base, quanta)
         return quanta
 
     def dequantize(
@@ -378,12 +383,18 @@ class HeightScan:
         return _spacing(self.dtype, max(abs(self.minimum), abs(self.maximum)))
 
     def quantizer(
-        self, max_error: Fraction, *, may_have_remainders: bool = False, is_strict: bool = False
+        self,
+        max_error: Fraction,
+        *,
+        may_have_remainders: bool = False,
+        is_strict: bool = False,
+        side: int = 0,
     ) -> Quantizer:
         """Choose p, base and step for a bound in raw units.
 
         `is_strict`: the bound applies to the stored floats (`Quantizer.is_strict`), not to the
-        multiples of p that they represent.
+        multiples of p that they represent. `side`: decoded numbers are never below their originals
+        (1) or never above them (-1).
 
         Raises
         ------
@@ -393,6 +404,9 @@ class HeightScan:
         """
         if self.n_valid == 0:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
+        if side:
+            half = self.quantizer(max_error / 2, may_have_remainders=may_have_remainders)
+            return _on_one_side(half, max_error, side)
         if self.steps is not None:
             stepped = self._with_quantum(self.steps.step, self.steps.loss, self.steps.loss)
             if stepped.z_max - stepped.z_min < MAX_QUANTA - 1:
@@ -489,6 +503,19 @@ class HeightScan:
             low - base,
             high - base,
         )
+
+
+def _on_one_side(plain: Quantizer, max_error: Fraction, side: int) -> Quantizer:
+    """Return a quantizer of half a bound whose heights are moved by that half to one side."""
+    if plain.effective_error == 0:
+        return plain
+    # Off the grid an original lies up to half a quantum from its own, and is rounded to its type.
+    half, more = plain.step >> 1, int(plain.rho > 0)
+    p, rho = Fraction(plain.numerator, plain.denominator), Fraction(plain.rho)
+    while half and (2 * half + more) * p + rho > max_error:
+        half -= 1
+    lift = side * (half + more)
+    return replace(plain, step=2 * half + 1, base=plain.base + lift, lift=lift)
 
 
 def _spacing(dtype: str, largest: float) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import NodataChoice, crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.names import ABOVE, BOTH
 from terrainwave.place.meaning import (
     KINDS,
     RADIUS,
@@ -21,7 +22,7 @@ from terrainwave.place.meaning import (
     may_have_radii,
     told_by,
 )
-from terrainwave.place.units import in_metres, is_length
+from terrainwave.place.units import height_unit, in_metres, is_length
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
@@ -90,6 +91,17 @@ class RasterInfo:
     @property
     def shape(self) -> tuple[int, int]:
         return self.n_rows, self.n_cols
+
+    def stored_side(self, bound: str) -> int:
+        """Return the side of stored numbers: 1 above their originals, -1 below, 0 both.
+
+        Scales below 0 and depths turn up and down.
+        """
+        if bound == BOTH:
+            return 0
+        side = 1 if bound == ABOVE else -1
+        is_depth = height_unit(self.units, self.crs, self.heights_are).is_depth
+        return side * (-1 if self.scale < 0 else 1) * (-1 if is_depth else 1)
 
     @property
     def void_value(self) -> int | float:

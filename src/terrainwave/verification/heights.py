@@ -354,7 +354,9 @@ class _Comparison:
     def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
         beyond = _Worst()
-        signs = _Signs(self._keeps_signs())
+        signs, wrong_side, keeps_signs = _Counted(), _Counted(), self._keeps_signs()
+        word = self._terrain.header.bound_side
+        side = self._terrain.raster_info.stored_side(word)
         unreadable: list[str] = []
         n_taken = n_done = 0
         total = math.prod(self._original.shape)
@@ -376,7 +378,13 @@ class _Comparison:
             both = valid & decoded_valid
             differences = errors.add(row, col, original, heights, valid, decoded_valid, n_alike)
             beyond.add(row, col, differences, self._allowed(original, heights, both), n_alike)
-            signs.add(row, col, original, heights, both, n_alike)
+            if keeps_signs:
+                zeros = both & (original == 0) & (heights == 0)
+                differ = zeros & (np.signbit(original) != np.signbit(heights))
+                signs.add(row, col, differ, n_alike)
+            if side:
+                is_wrong = heights < original if side > 0 else heights > original
+                wrong_side.add(row, col, both & is_wrong, n_alike)
             is_taken = self._original.equals(heights, self._nodata) & decoded_valid
             n_taken += n_alike * int(np.count_nonzero(is_taken))
             n_done += n_alike * n_rows * n_cols
@@ -386,7 +394,8 @@ class _Comparison:
             *_shortened(unreadable),
             *self._mask_problems(errors.report(), n_taken),
             *beyond.problems(self._scale, self._bound),
-            *signs.problems(),
+            *signs.problems(_OTHER_ZEROS),
+            *wrong_side.problems(f"not {word} the original, {{first}}, against the file's bound"),
         ]
         return errors, problems
 
@@ -462,42 +471,32 @@ class _Comparison:
         return allowed + np.spacing(largest).astype(np.float64)
 
 
-class _Signs:
-    """Counts samples that are 0 on both sides, but -0.0 on only one of them."""
+class _Counted:
+    """Counts samples of a kind, and keeps the first."""
 
-    def __init__(self, counts: bool) -> None:
-        self._counts = counts
+    def __init__(self) -> None:
         self._count = 0
         self._first = 0, 0
 
-    def add(
-        self,
-        row: int,
-        col: int,
-        original: np.ndarray,
-        decoded: np.ndarray,
-        both: np.ndarray,
-        n_alike: int,
-    ) -> None:
-        if not self._counts:
-            return
-        zeros = both & (original == 0) & (decoded == 0)
-        differ = zeros & (np.signbit(original) != np.signbit(decoded))
-        if not differ.any():
+    def add(self, row: int, col: int, found: np.ndarray, n_alike: int) -> None:
+        if not found.any():
             return
         if not self._count:
-            at_row, at_col = np.argwhere(differ)[0]
+            at_row, at_col = np.argwhere(found)[0]
             self._first = row + int(at_row), col + int(at_col)
-        self._count += n_alike * int(np.count_nonzero(differ))
+        self._count += n_alike * int(np.count_nonzero(found))
 
-    def problems(self) -> Iterator[str]:
+    def problems(self, words: str) -> Iterator[str]:
         if self._count:
             samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
-            yield (
-                f"{samples} 0.0 in one of the two and -0.0 in the other, the first at row"
-                f" {self._first[0]}, column {self._first[1]}, though `max_error` 0 keeps every bit:"
-                " compress the original again"
-            )
+            row, col = self._first
+            yield f"{samples} {words.format(first=f'the first at row {row}, column {col}')}"
+
+
+_OTHER_ZEROS = (
+    "0.0 in one of the two and -0.0 in the other, {first}, though `max_error` 0 keeps every bit:"
+    " compress the original again"
+)
 
 
 class _Worst:

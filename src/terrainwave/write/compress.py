@@ -83,6 +83,7 @@ def compress(
     dst: str | os.PathLike[str],
     *,
     max_error: float | None = None,
+    bound: str = "both",
     method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",
@@ -126,6 +127,13 @@ def compress(
         bit. By default lossless if the heights are in whole steps (metres, centimetres, feet),
         otherwise 0.01 m, or less: `notes` of the result give the rule that was used
         (docs/choosing-a-bound.md).
+    bound : {"both", "above", "below"}
+        Side of the original on which decoded heights may lie, within `max_error`: ``"above"`` means
+        that none is below its original, ``"below"`` that none is above. Up is physical, after scale
+        and offset, and depths go down: with ``"above"`` no depth is deeper than measured. The full
+        grid alone is one-sided; coarse levels, averages and meshes state errors to both sides. Such
+        a file is about as large as one of half the bound. Not with `strict`, `stable`, method cdf53
+        or ``Cdf97(faithful=True)``.
     method : str, Rapid, Predictive, Cdf97, Cdf53 or Store
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``, which
         means rapid; or a method with its options, such as ``tw.Cdf97(faithful=True)``. Files of
@@ -306,6 +314,7 @@ def compress_to_bytes(
     src: Any,
     *,
     max_error: float | None = None,
+    bound: str = "both",
     method: str | MethodOptions = "auto",
     block: int = 256,
     effort: str = "default",

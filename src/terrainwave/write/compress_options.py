@@ -14,11 +14,13 @@ from terrainwave.codec.method_options import (
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import (
+    BOTH,
     DEFAULT_EFFORT,
     DEFAULT_MESH,
     EFFORTS,
     MESH_KINDS,
     METHODS,
+    SIDES,
     Method,
 )
 from terrainwave.option_sets import FLAG, Kind, OptionSet, number, numbers, option, whole, words
@@ -58,6 +60,13 @@ class Options(OptionSet):
         " Default: lossless for heights in whole steps (metres, centimetres, feet), otherwise"
         " 0.01 m, or a 10,000th of the range of heights that span little or are in no unit of"
         " length; a note says which.",
+    )
+    bound: str = option(
+        words(*SIDES),
+        "Side of the original on which heights may lie: both; above, where none is below its"
+        " original; or below. Up is up, also for depths: with above no depth is deeper than"
+        " measured. For the full grid; coarse levels and meshes state errors to both sides.",
+        default=BOTH,
     )
     method: str | MethodOptions = option(
         Kind(lambda _, method: method, choices=("auto", *METHODS)),  # checked with the effort
@@ -128,6 +137,12 @@ class Options(OptionSet):
                 "found `digest` without `verify`, expected both: digests are those of heights that"
                 " the proof decodes"
             )
+        if self.bound != BOTH and (self.strict or self.stable):
+            other = "strict" if self.strict else "stable"
+            raise InvalidArgumentError(
+                f"found `bound` {self.bound} and `{other}`, expected one of them: heights on one"
+                " side of their originals are moved from the steps that these keep to"
+            )
         choice = chosen(self.method, self.effort)
         kind = self.mesh_kind or stored_mesh(
             self.mesh, choice.own.method, is_faithful=choice.own.is_faithful
@@ -140,14 +155,18 @@ class Options(OptionSet):
                 "found `stable` without `max_error`, expected both: fixed steps follow from the"
                 " bound"
             )
-        choice.own.check_beside(super().to_metadata())
+        choice.own.check_beside(self._asked())
 
     def to_metadata(self) -> dict[str, Any]:
         """Return the options that affect files or the proof, as plain values for JSON."""
-        values = super().to_metadata() | {"border_rings": self.border_rings}
+        values = self._asked() | {"border_rings": self.border_rings}
         values |= self.choice.own.to_metadata()
         values |= {"method": self.named_method.name, "mesh": self.mesh_kind}
         return {name: values[name] for name in values if name not in ("threads", "keep_origin")}
+
+    def _asked(self) -> dict[str, Any]:
+        values = super().to_metadata()
+        return {name: values[name] for name in values if values[name] != BOTH}
 
     def with_method(self, method: Method, mesh: str) -> "Options":
         return replace(self, method=with_method(self.choice.own, method), mesh_kind=mesh)

@@ -32,7 +32,7 @@ from terrainwave.grid.quantum import (
 )
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import mesh_tolerance
-from terrainwave.names import Method, mesh_without_coefficients, methods_that
+from terrainwave.names import BOTH, Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.earlier_loss import NO_LOSS, EarlierLoss
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
@@ -145,8 +145,8 @@ class Job:
 
     @property
     def lost(self) -> int:
-        """Return the largest loss by rounding to quanta, and before, in quanta, rounded up."""
-        return self.quantizer.lost + self.moved
+        """Return the largest loss besides that of coding, in quanta: rounded, moved, or before."""
+        return self.quantizer.lost + self.moved + abs(self.quantizer.lift)
 
     @property
     def recursion_bound(self) -> int | None:
@@ -189,6 +189,8 @@ class Job:
             metadata[ORIGIN] = self.origin
         if not options.verify:
             metadata["proof"] = "none"
+        if quantizer.lift:
+            metadata["bound"] = options.bound
         has_heights = self.n_valid > 0
         return Header(
             n_rows=info.n_rows,
@@ -283,9 +285,10 @@ def settled(
         bound, notes = _choose_bound(options, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
         raw_bound = Fraction(0) if options.stable else _raw_bound(bound, info)
-        limits = {
+        limits: dict[str, Any] = {
             "may_have_remainders": not options.named_method.is_tiled,
             "is_strict": options.strict,
+            "side": info.stored_side(options.bound),
         }
         quantizer = _with_range(scan, options, info).quantizer(raw_bound, **limits)
         if (
@@ -313,6 +316,8 @@ def settled(
             f"-0.0 becomes 0.0: method {options.named_method.name} keeps numbers, not the sign of"
             f" zero; method {methods_that(lambda method: not method.is_tiled)} keeps both"
         )
+    if options.bound != BOTH:
+        notes += _notes_of_side(options.bound, bound, quantizer, earlier)
     measured = None
     if options.named_method.is_tiled:
         quantizer, measured = _with_room_for_nodata(quantizer, info)
@@ -333,6 +338,21 @@ def settled(
     if not above:
         return job.with_range_of_original(), notes + earlier_notes
     return settled(_with_smaller_bound(job, above, earlier), scan, info, earlier)
+
+
+def _notes_of_side(side: str, bound: Fraction, quantizer: Quantizer, earlier: Earlier) -> list[str]:
+    """Return notes on a one-sided bound; raise where it says nothing of the original."""
+    if earlier.error:
+        raise InvalidHeightsError(
+            f"found `bound` {side} and heights within {earlier.error:g} of an original, to both"
+            " sides of it: expected the original raster"
+        )
+    if quantizer.lift or not bound:
+        return []
+    return [
+        f"the file is lossless: a bound of {float(bound):g} to one side leaves no room between"
+        f" heights in steps of {quantizer.quantum:g} (stored units)"
+    ]
 
 
 def _with_range(scan: HeightScan, options: Options, info: RasterInfo) -> HeightScan:

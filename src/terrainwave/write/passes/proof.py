@@ -146,6 +146,8 @@ class Comparison:
     terrain: TerrainFile
     source: SourceWindows
     allowed: float
+    # Of stored numbers: 1, none may be below its original; -1, none above; 0, both.
+    side: int
     has_digests: bool
     count: Callable[[int], None] = lambda _: None
 
@@ -163,7 +165,9 @@ class Comparison:
         return together(all_found)
 
     def _window(self, window: Region) -> Proved:
-        return compare_window(self.terrain, self.source, window, self.allowed, self.has_digests)
+        return compare_window(
+            self.terrain, self.source, window, self.allowed, self.has_digests, self.side
+        )
 
     def shares(
         self, source: IndexedWindows, within: Region | None = None
@@ -200,6 +204,7 @@ class Comparison:
             decoded = quantizer.dequantize(np.array([[*heights]], dtype=np.int32))
             errors = np.abs(decoded.astype(np.float64) - raw.astype(np.float64))
             is_good = errors.max() <= self.allowed
+            is_good &= not self.side or not _is_beyond(raw, decoded, self.side).any()
             if is_good and not self.has_digests:
                 return Proved(float(errors.max()), {})
             if is_good and len(heights) == 1:
@@ -217,7 +222,12 @@ def _side_of(grid: Grid) -> int:
 
 
 def compare_window(
-    terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float, has_digests: bool
+    terrain: TerrainFile,
+    source: SourceWindows,
+    region: Region,
+    allowed: float,
+    has_digests: bool,
+    side: int = 0,
 ) -> Proved:
     """Return the largest error in a window, and the digests of its tiles if `has_digests`."""
     raw, valid = source.read(*region)
@@ -239,7 +249,20 @@ def compare_window(
             f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
             f" {allowed:g}; {OUR_FAULT}"
         )
+    if side and (wrong := valid & _is_beyond(raw, decoded, side)).any():
+        row, col = np.argwhere(wrong)[0] + (region.row, region.col)
+        raise BoundViolationError(
+            f"the decoded number at row {row}, column {col} is {'below' if side > 0 else 'above'}"
+            f" its original, against the one-sided bound; {OUR_FAULT}"
+        )
     return Proved(largest, tile_digests(region, decoded, valid) if has_digests else {})
+
+
+def _is_beyond(
+    raw: NDArray[np.generic], decoded: NDArray[np.generic], side: int
+) -> NDArray[np.bool_]:
+    """Return which stored numbers lie on the wrong side of their originals."""
+    return np.less(decoded, raw) if side > 0 else np.greater(decoded, raw)
 
 
 def _compare_bits(
@@ -343,4 +366,5 @@ def comparison_of(
     """Open a finished file, and yield what compares it with its raster."""
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
-        yield Comparison(terrain, source, allowed, job.options.makes_digests, count)
+        side = job.info.stored_side(job.options.bound)
+        yield Comparison(terrain, source, allowed, side, job.options.makes_digests, count)
