@@ -27,7 +27,9 @@ def copied(folder):
     """Copy what git has into a folder, as a clone or an unpacked sdist; return the folder."""
     listed = ["git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard"]
     for name in subprocess.check_output(listed, text=True).splitlines():
-        if (ROOT / name).is_file() and not name.startswith(("tests/", "benchmarks/", "docs/")):
+        is_left_out = name.startswith(("tests/", "benchmarks/", "docs/"))
+        is_format = name.startswith(("docs/FORMAT", "docs/format-"))  # for capsules
+        if (ROOT / name).is_file() and (is_format or not is_left_out):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, folder / name)
     return folder
