@@ -120,7 +120,7 @@ def test_without_a_display_one_line_names_render_and_what_to_install(file):
 
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_drawing_for_long_keeps_memory_flat(file, mode):
-    """500 frames with paging; the first of them may still compile and fill caches."""
+    """1000 frames with paging; the first of them may still compile and fill caches."""
     code = f"""
 import resource
 import terrainwave
@@ -136,18 +136,18 @@ with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
         layers.max_layers, layers._free = 24, Arena(24)
         store.drop = lambda node: (drops.append(node), drop(node))
         low, high = scene.frame.box
-        for number in range(500):
+        for number in range(1000):
             share = number % 200 / 200
             camera = Camera((low[0] + share * (high[0] - low[0]), low[1], high[2] + 20.0),
                             (number * 7 % 120 - 60) % 360, -30.0, 50.0)
             canvas.draw(camera, Style(), settle=False)
             scene._pager.wait(0.01)
             assert store.n_bytes <= 64 << 20
-            if number % 25 == 24:
+            if number % 50 == 49:
                 pages = int(open("/proc/self/statm").read().split()[1])
                 sizes.append(pages * resource.getpagesize() / 2**20)
         assert canvas.context.error == "GL_NO_ERROR"
-assert len(drops) > 75, len(drops)
+assert len(drops) > 150, len(drops)
 print(*sizes)
 """
     done = subprocess.run(
