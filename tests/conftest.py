@@ -41,7 +41,7 @@ settings.load_profile("fast")
 # Tests in which no kernel of ours does what is tested, or C does: they run once, compiled. All
 # others are marked `kernels`.
 WITHOUT_KERNELS = {
-    "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
+    "benchmarks", "capsule", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
     "test_annexes.py", "test_archive.py", "test_architecture.py", "test_arguments.py",
     "test_cache.py", "test_camera.py", "test_compiler.py", "test_compilers.py", "test_controls.py",
     "test_convert_in_c.py", "test_crew.py", "test_dispatchers.py", "test_docs.py",

@@ -198,6 +198,7 @@ def test_every_prefix_and_an_extra_byte_are_refused():
         parse_file_tables(section + b"\0", 1)
 
 
+@pytest.mark.large
 def test_damaged_bytes_give_tables_within_their_limits_or_our_own_error():
     rng, section = np.random.default_rng(11), pack_file_tables(some_tables())
     n_sound = 0
@@ -246,6 +247,7 @@ def size_of(tables, heights, step):
     return len(payload) + len(pack_file_tables(tables))
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("step", [1, 9])
 def test_fitted_tables_make_a_strange_surface_smaller(step):
     heights = rough((401, 401))

@@ -34,6 +34,7 @@ def test_a_unit_that_differs_from_an_absent_one_beside_it_is_found(tmp_path, num
     assert all("differ in samples that they share" in one for one in found)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("method", ["store", "cdf53"])
 def test_absent_segments_among_others_are_sound(tmp_path, method):
     row, col = np.mgrid[:1060, :1100]
