@@ -35,6 +35,8 @@ class FakeTerrain:
         self._transform = Affine(*changes.pop("transform", (1, 0, 0, 0, 1, 0)))
         self.bad_row = changes.pop("bad_row", None)
         self.n_levels = 1
+        self.header = SimpleNamespace(bound_side="both")
+        self.raster_info = SimpleNamespace(stored_side=lambda _: 0)
         self.container = SimpleNamespace(n_missing=0, extents=SimpleNamespace(file_size=0))
         self.problems = changes.pop("problems", ())
         fields = {

@@ -146,10 +146,10 @@ class Comparison:
     terrain: TerrainFile
     source: SourceWindows
     allowed: float
-    # Of stored numbers: 1, none may be below its original; -1, none above; 0, both.
-    side: int
     has_digests: bool
     count: Callable[[int], None] = lambda _: None
+    # Of stored numbers: 1, none may be below its original; -1, none above; 0, both.
+    side: int = 0
 
     def __post_init__(self) -> None:
         self._even = EvenBlocks(self.terrain.container, self.terrain.decoder)
@@ -367,4 +367,4 @@ def comparison_of(
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with TerrainFile(path, threads=1, cache_bytes=_CACHE_BYTES, native=False) as terrain:
         side = job.info.stored_side(job.options.bound)
-        yield Comparison(terrain, source, allowed, side, job.options.makes_digests, count)
+        yield Comparison(terrain, source, allowed, job.options.makes_digests, count, side)
