@@ -36,7 +36,6 @@ class FakeTerrain:
         self.bad_row = changes.pop("bad_row", None)
         self.n_levels = 1
         self.header = SimpleNamespace(bound_side="both")
-        self.raster_info = SimpleNamespace(stored_side=lambda _: 0)
         self.container = SimpleNamespace(n_missing=0, extents=SimpleNamespace(file_size=0))
         self.problems = changes.pop("problems", ())
         fields = {
@@ -60,7 +59,9 @@ class FakeTerrain:
     @property
     def raster_info(self):
         own_kind = None, Told(), self.crs
-        return SimpleNamespace(crs=self.crs, own_kind=lambda *_, is_asked: own_kind)
+        return SimpleNamespace(
+            crs=self.crs, own_kind=lambda *_, is_asked: own_kind, stored_side=lambda _: 0
+        )
 
     @property
     def transform(self):
