@@ -263,6 +263,10 @@ def test_a_window_is_checked_by_the_digests_of_its_squares(tmp_path):
     assert "expected 000" in problem
     with pytest.raises(InvalidArgumentError, match="expected one of them"):
         tw.verify(forged, window=(0, 0, 9, 9), mesh=True)
+    damaged = bytearray(path.read_bytes())
+    damaged[-(len(damaged) // 2)] ^= 1  # in the heights
+    forged.write_bytes(damaged)
+    assert tw.verify(forged, window=(0, 0, 40, 9000)).problems
     tw.compress(heights, path, digest=False, overwrite=True)
     (problem,) = tw.verify(path, window=(0, 0, 9, 9)).problems
     assert "no digests" in problem

@@ -64,6 +64,14 @@ def test_levels_and_meshes_state_what_holds(tmp_path):
             assert apart.max() <= terrain.level_errors()[level]
 
 
+def test_one_height_off_any_grid_is_moved_by_what_the_header_counts():
+    heights = np.full((20, 30), np.pi)
+    with tw.open(tw.compress_to_bytes(heights, max_error=0.01, bound="above", threads=1)) as file:
+        quantum = float(file.header.quantum)
+        moved = round(file.read()[0, 0] / quantum) - round(np.pi / quantum)
+        assert 0 < moved <= file.header.coded_error
+
+
 def test_the_proof_finds_a_height_on_the_wrong_side(tmp_path, monkeypatch):
     """Heights are moved by one quantum less than half a step, and so by more than the bound."""
     made = quantum._on_one_side

@@ -7,7 +7,7 @@ description of its format with all annexes, a reader as C source, and checksums.
 import hashlib
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -147,19 +147,19 @@ def _write(
 
 def _contents(
     terrain: Terrain, name: str, root: str | None
-) -> Iterator[tuple[str, Iterator[bytes]]]:
+) -> Iterator[tuple[str, Iterable[bytes]]]:
     """Yield the files of a capsule: path, and bytes in pieces."""
     docs = _sources() / "docs"
-    yield "README.txt", iter([_readme(terrain, name, root).encode()])
+    yield "README.txt", [_readme(terrain, name, root).encode()]
     yield name, _pieces(terrain.container.source)
     for document in (docs / "FORMAT.md", *sorted(docs.glob("format-*.md"))):
-        yield f"format/{document.name}", iter([_text(document).encode()])
+        yield f"format/{document.name}", [_text(document).encode()]
     for annex in sorted(_ANNEXES.iterdir()):
         if annex.suffix in (".bin", ".txt"):
-            yield f"format/annexes/{annex.name}", iter([annex.read_bytes()])
+            yield f"format/annexes/{annex.name}", [annex.read_bytes()]
     for path, text in decoder_sources().items():
-        yield f"decoder/{path}", iter([text.encode()])
-    yield "LICENSE", iter([_text(_sources() / "LICENSE").encode()])
+        yield f"decoder/{path}", [text.encode()]
+    yield "LICENSE", [_text(_sources() / "LICENSE").encode()]
 
 
 def _pieces(source: ByteSource) -> Iterator[bytes]:
@@ -169,11 +169,12 @@ def _pieces(source: ByteSource) -> Iterator[bytes]:
 
 def _readme(terrain: Terrain, name: str, root: str | None) -> str:
     info = terrain.info()
+    units = " ".join((info.units or "").split())
     if info.effective_error == 0:
         bound = "They are exactly those of the original."
     else:
         side = {"above": ", none below it", "below": ", none above it"}.get(info.bound, "")
-        bound = f"Each is within {info.effective_error:.9g} {info.units or ''}".rstrip()
+        bound = f"Each is within {info.effective_error:.9g} {units}".rstrip()
         bound += f" of the original{side}."
     if not info.proved:
         bound += "\nThis was not proved when the file was made (--no-verify)."
@@ -187,9 +188,9 @@ def _readme(terrain: Terrain, name: str, root: str | None) -> str:
         bound=bound,
         crs=" ".join((info.crs or "unknown").split()),
         transform=" ".join(f"{number:.17g}" for number in info.transform),
-        units=info.units or "unknown",
+        units=units or "unknown",
         root=root or "none: the file has no digests (compress it with --digest)",
         scale=f"{info.scale:.17g}",
         offset=f"{info.offset:.17g}",
-        in_unit=f" {info.units}" if info.units else "",
+        in_unit=f" {units}" if units else "",
     )

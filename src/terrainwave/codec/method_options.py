@@ -30,6 +30,13 @@ EFFORT_HELP = (
 )
 
 
+# Options of `compress` that some methods and faithful files cannot keep, and why.
+_WITHOUT_REMAINDERS = {
+    "bound": "the others move heights to both sides",
+    "stable": "those round heights in ways of their own",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class MethodOptions(OptionSet):
     """Options of one method."""
@@ -57,20 +64,17 @@ class MethodOptions(OptionSet):
 
     def check_beside(self, given: Mapping[str, Any]) -> None:
         """Raise `InvalidArgumentError` for options of `compress` that do not go with these."""
-        if "bound" in given and (self.is_faithful or not self.method.has_remainders):
-            fit = methods_that(lambda method: method.has_remainders)
-            found = "`faithful`" if self.is_faithful else f"`method` {self.name}"
-            raise InvalidArgumentError(
-                f"found `bound` {given['bound']} and {found}, expected `method` {fit}, and not"
-                " `faithful`: the others move heights to both sides"
-            )
-        if "stable" in given and (self.is_faithful or not self.method.has_remainders):
-            fit = methods_that(lambda method: method.has_remainders)
-            found = "`faithful`" if self.is_faithful else f"`method` {self.name}"
-            raise InvalidArgumentError(
-                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
-                " round heights in ways of their own"
-            )
+        if not self.is_faithful and self.method.has_remainders:
+            return
+        for name, reason in _WITHOUT_REMAINDERS.items():
+            if name in given:
+                fit = methods_that(lambda method: method.has_remainders)
+                found = "`faithful`" if self.is_faithful else f"`method` {self.name}"
+                asked = f"`{name}`" if given[name] is True else f"`{name}` {given[name]}"
+                raise InvalidArgumentError(
+                    f"found {asked} and {found}, expected `method` {fit}, and not `faithful`:"
+                    f" {reason}"
+                )
 
 
 class MethodChoice(NamedTuple):

@@ -71,7 +71,7 @@ _SECTION = struct.Struct("<4s I I")
 
 
 class _Feature:
-    """Whether a file has a feature of the mask."""
+    """Property of a header: True if the file has a feature of the mask."""
 
     def __init__(self, bit: int) -> None:
         self._bit = bit
@@ -179,7 +179,7 @@ class Header:
         """Return the largest distance of decoded from quantised original heights, in quanta."""
         half = self.step >> 1
         # Off the grid a one-sided file leaves a quantum for rounding.
-        on_one_side = half + (self.rho > 0 and half > 0)
+        on_one_side = half + (self.rho > 0)
         return half + (0 if self.bound_side == BOTH else on_one_side) + self.moved
 
     @property

@@ -173,7 +173,7 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
 
 
 def rises(corners: Numbers, ellipsoid: Ellipsoid) -> tuple[Numbers, Numbers]:
-    """Return twice the areas of geocentric triangles seen from above, and as they are.
+    """Return twice the areas of geocentric triangles: seen from above, and in space.
 
     The first are negative for triangles that face inwards.
     """

@@ -51,6 +51,15 @@ def check_window(
     Leaves of 4096 x 4096 samples that the window touches are decoded, and nothing else. `root` is
     compared with that of the digests.
     """
+    try:
+        yield from _window_problems(container, decoder, window, root)
+    except CorruptStreamError as error:
+        yield str(error)
+
+
+def _window_problems(
+    container: Container, decoder: TreeDecoder, window: Region, root: str | None
+) -> Iterator[str]:
     header, grid = container.header, container.grid
     stored = container.digests()
     if stored is None:

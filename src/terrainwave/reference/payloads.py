@@ -334,7 +334,7 @@ def raw_height(h, k):
 
 
 def nodata_in_dtype(file):
-    """Return the nodata value as a number of the file's dtype; None if there is none."""
+    """Return the nodata value as a number of the file's dtype; None without one."""
     nodata = file.metadata.get("nodata")
     if nodata is None:
         return None
