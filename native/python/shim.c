@@ -5,9 +5,6 @@
 #include <stdlib.h>
 
 #include "encode.h"
-#include "encode_measure.h"
-#include "encode_pyramid.h"
-#include "encode_tables.h"
 #include "internal.h"
 
 TWZ_API const char *twz_python_sources(void);
@@ -19,25 +16,6 @@ TWZ_API twz_status twz_python_tables_new(int32_t k_max, int32_t cut, int32_t has
 TWZ_API void twz_python_tables_free(encode_tables *tables);
 TWZ_API twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error);
 TWZ_API void twz_python_encoder_free(twz_encoder *encoder);
-TWZ_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
-TWZ_API twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
-TWZ_API twz_status twz_python_code_tables(tables_job *job, twz_error *error);
-TWZ_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
-TWZ_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
-                                       uint32_t *states, uint8_t *words);
-TWZ_API void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
-                                 int64_t denominator, int64_t base, int32_t *quanta);
-TWZ_API void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
-                             int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known);
-TWZ_API void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col,
-                             int32_t to_rows, int32_t to_cols, const uint8_t *known, int32_t *values);
-TWZ_API void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base,
-                                   int64_t low, int64_t high, void *heights);
-TWZ_API void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols,
-                                        int64_t decoded_cols, int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t *found);
-TWZ_API int64_t twz_python_largest_deviation(const deviation_job *job, int is_short);
-TWZ_API void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n,
-                                   const int32_t *weights, int least_cut, int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped);
 
 /* The digest of the sources that this library is built of (src/terrainwave/native_sources.py). */
 const char *twz_python_sources(void) { return TWZ_SOURCES; }
@@ -172,50 +150,3 @@ twz_status twz_python_encoder_new(twz_encoder **made, twz_error *error) {
 
 void twz_python_encoder_free(twz_encoder *encoder) { encoder_free(encoder); }
 
-twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
-  return encode_rapid(encoder, tables, job, error);
-}
-
-twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
-  return decode_lone(encoder, tables, job, error);
-}
-
-twz_status twz_python_code_tables(tables_job *job, twz_error *error) { return code_tables(job, error); }
-twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_mask(encoder, job, error); }
-
-uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
-                               uint32_t *states, uint8_t *words) {
-  return encode_mask_bits(models, values, n, freqs, n_states, states, words);
-}
-
-void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator,
-                         int64_t denominator, int64_t base, int32_t *quanta) {
-  quantise_heights(type, raw, valid, n, is_whole, numerator, denominator, base, quanta);
-}
-
-void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
-                     int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
-  push_heights(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
-}
-
-void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
-                     int32_t to_cols, const uint8_t *known, int32_t *values) {
-  pull_heights(coarse, n_rows, n_cols, first_row, first_col, to_rows, to_cols, known, values);
-}
-
-void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
-                           int64_t high, void *heights) {
-  dequantise_heights(type, quanta, n, numerator, denominator, base, low, high, heights);
-}
-
-void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols,
-                                int64_t decoded_cols, int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t *found) {
-  range_and_error(originals, valid, decoded, (ptrdiff_t)original_cols, (ptrdiff_t)decoded_cols, row, col, n_rows, n_cols, found);
-}
-
-int64_t twz_python_largest_deviation(const deviation_job *job, int is_short) { return largest_deviation(job, is_short); }
-
-void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights,
-                           int least_cut, int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped) {
-  count_seen(features, details, is_coded, n, weights, least_cut, most_cut, pairs, singles, escaped);
-}

@@ -92,11 +92,11 @@ void encode_tables_free(encode_tables *t);
 twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder **made, twz_error *error);
 void encoder_free(twz_encoder *e);
 /* Encode a unit: heights to job->out, bytes to job->payload. */
-twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+PYTHON_API twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 
 /* Decode a payload, of a unit without a target, by tables with slots. */
-twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
+PYTHON_API twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error);
 
-twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
+PYTHON_API twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error);
 
 #endif

@@ -23,6 +23,6 @@ typedef struct mask_job {
 struct row_kernels;
 twz_status encode_validity(mask_job *job, const struct row_kernels *kernels, scratch *s, twz_error *error);
 /* Code bits, the last one first, to the end of `words`, which are n; return where the first one is. */
-uint64_t encode_mask_bits(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+PYTHON_API uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                           uint32_t *states, uint8_t *words);
 #endif

@@ -11,7 +11,7 @@ static ALWAYS_INLINE int32_t apart(int32_t a, int32_t b) {
   return (int32_t)((int32_t)x < 0 ? 0 - x : x);
 }
 
-void range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, ptrdiff_t original_cols, ptrdiff_t decoded_cols,
+void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols, int64_t decoded_cols,
                      int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t found[3]) {
   int32_t low = INT32_MAX, high = INT32_MIN, error = 0;
   for (ptrdiff_t i = row; i < (ptrdiff_t)row + n_rows; i++) {
@@ -80,7 +80,7 @@ void range_and_error(const int32_t *originals, const uint8_t *valid, const int32
 DEVIATION(deviation_of_32, int32_t, uint32_t)
 DEVIATION(deviation_of_64, int64_t, uint64_t)
 
-int64_t largest_deviation(const deviation_job *job, int is_short) { return is_short ? deviation_of_32(job) : deviation_of_64(job); }
+int64_t twz_python_largest_deviation(const deviation_job *job, int is_short) { return is_short ? deviation_of_32(job) : deviation_of_64(job); }
 
 static ALWAYS_INLINE uint8_t class_of(int32_t expected) {
   int32_t value = max_i32(expected, 1), bits;
@@ -93,7 +93,7 @@ static ALWAYS_INLINE int single_of(int32_t value) {
   return value < -SINGLE_LIMIT || value > SINGLE_LIMIT ? SINGLE_ESCAPE : value + SINGLE_LIMIT;
 }
 
-void count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
+void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
                 int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped) {
   enum { PIECE = 256 };
   const int32_t *ranges = features, *bends = features + n, *near = features + 2 * n;

@@ -5,7 +5,7 @@
 #include "internal.h"
 
 /* Lowest and highest valid height, and the largest error of one, of part of a window: to `found`. */
-void range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, ptrdiff_t original_cols, ptrdiff_t decoded_cols,
+PYTHON_API void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols, int64_t decoded_cols,
                      int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t found[3]);
 
 /* A window of a raster, and the samples of a block around it. */
@@ -18,10 +18,10 @@ typedef struct deviation_job {
 } deviation_job;
 
 /* The largest deviation of valid samples from a block's surface, times 4^shift. */
-int64_t largest_deviation(const deviation_job *job, int is_short);
+PYTHON_API int64_t twz_python_largest_deviation(const deviation_job *job, int is_short);
 
 /* Count the symbols of n samples, an even number; as details.count_seen. */
-void count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
+PYTHON_API void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
                 int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped);
 
 #endif

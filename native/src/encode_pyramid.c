@@ -29,7 +29,7 @@ static ALWAYS_INLINE int32_t less_base(int64_t number, int64_t base) { return (i
     }                                                                                           \
   } while (0)
 
-void quantise_heights(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator, int64_t denominator,
+void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator, int64_t denominator,
                       int64_t base, int32_t *quanta) {
   const double by = (double)denominator, over = (double)numerator;
   switch (type) {
@@ -55,7 +55,7 @@ void quantise_heights(int type, const void *raw, const uint8_t *valid, size_t n,
     }                                                                                            \
   } while (0)
 
-void dequantise_heights(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
+void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
                         int64_t high, void *heights) {
   float *singles = heights;
   double *doubles = heights;
@@ -76,7 +76,7 @@ void dequantise_heights(int type, const int32_t *quanta, size_t n, int64_t numer
   }
 }
 
-void push_heights(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
                   int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
   int64_t *RESTRICT parts = lines, *RESTRICT shares = lines + n_cols;
   for (int32_t i = 0; i < to_rows; i++) {
@@ -98,7 +98,7 @@ void push_heights(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t f
   }
 }
 
-void pull_heights(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
+void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
                   int32_t to_cols, const uint8_t *known, int32_t *values) {
   for (int32_t i = 0; i < to_rows; i++) {
     int32_t row = i + first_row;

@@ -415,7 +415,7 @@ static void begin_group(rapid_unit *u, const encode_tables *tables, const encode
   for (int side = 0; side < 4; side++) u->known[side] = job->shared[side];
 }
 
-twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
   TRY(check_job(job, error));
   encoding e;
   rapid_unit u;
@@ -457,7 +457,7 @@ twz_status encode_rapid(twz_encoder *encoder, const encode_tables *tables, encod
   return make_payload(encoder, &e, &u, number, job, error);
 }
 
-twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
+twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, encode_job *job, twz_error *error) {
   encoding e;
   rapid_unit u;
   TRY(check_job(job, error));
@@ -487,4 +487,4 @@ twz_status decode_lone(twz_encoder *encoder, const encode_tables *tables, encode
   return rapid_close_payload(&u, 0, error);
 }
 
-twz_status encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, encoder->kernels, &encoder->rows, error); }
+twz_status twz_python_encode_mask(twz_encoder *encoder, mask_job *job, twz_error *error) { return encode_validity(job, encoder->kernels, &encoder->rows, error); }

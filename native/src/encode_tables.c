@@ -118,7 +118,7 @@ static int code_stencil(tables_job *job, int index) {
   return 0;
 }
 
-twz_status code_tables(tables_job *job, twz_error *error) {
+twz_status twz_python_code_tables(tables_job *job, twz_error *error) {
   if (job->size != sizeof *job) {
     return twz_fail(error, TWZ_BAD_ARGUMENT, "tables by a job of %llu bytes", (unsigned long long)job->size);
   }

@@ -19,5 +19,5 @@ typedef struct tables_job {
   int64_t which;
 } tables_job;
 
-twz_status code_tables(tables_job *job, twz_error *error);
+PYTHON_API twz_status twz_python_code_tables(tables_job *job, twz_error *error);
 #endif

@@ -20,6 +20,13 @@
 #define ALWAYS_INLINE inline __attribute__((always_inline))
 #endif
 
+/* Seen from outside where the library is that of the Python package (python/CMakeLists.txt). */
+#ifdef TWZ_FOR_PYTHON
+#define PYTHON_API TWZ_API
+#else
+#define PYTHON_API
+#endif
+
 /* ---- Small things --------------------------------------------------------------------------- */
 
 static inline int32_t min_i32(int32_t a, int32_t b) { return a < b ? a : b; }

@@ -24,6 +24,9 @@ typedef struct row_kernels {
   void (*add_shorts)(uint16_t *to, const int16_t *from, size_t n, uint32_t base);
 #ifdef TWZ_ENCODER
   rapid_encoder encode_lattice;
+  void (*fit_errors)(const double *values, int64_t n, int64_t step, const double *weights, int32_t n_sets, double whole, double unit,
+                     double *errors);
+  void (*fit_products)(const double *values, int64_t n, int64_t step, const double *roots, double unit, double *products);
 #endif
 } row_kernels;
 

@@ -3,8 +3,9 @@
 #include "heights_rows.h"
 #include "mask_rows.h"
 #ifdef TWZ_ENCODER
+#include "encode_fit_rows.h"
 #include "encode_rows.h"
-#define ENCODER , ISA(encode_lattice)
+#define ENCODER , ISA(encode_lattice), ISA(fit_errors), ISA(fit_products)
 #else
 #define ENCODER
 #endif

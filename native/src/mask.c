@@ -141,7 +141,7 @@ twz_status encode_validity(mask_job *job, const row_kernels *kernels, scratch *s
   return TWZ_OK;
 }
 
-uint64_t encode_mask_bits(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
+uint64_t twz_python_mask_words(const uint8_t *models, const uint8_t *values, uint64_t n, const uint32_t *freqs, uint32_t n_states,
                           uint32_t *states, uint8_t *words) {
   uint64_t at = n;
   for (uint64_t i = n; i > 0; i--) {

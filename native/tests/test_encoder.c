@@ -152,7 +152,7 @@ static void test_kernels_agree(twz_encoder *const *encoders, const encode_tables
     if (!encoders[k]) continue;
     memset(d.arrays[2], 0, n * sizeof(int32_t));
     memset(d.arrays[3], 0, n * sizeof(int32_t));
-    CHECK(encode_rapid(encoders[k], tables, &d.job, NULL) == TWZ_OK);
+    CHECK(twz_python_encode(encoders[k], tables, &d.job, NULL) == TWZ_OK);
     check_heights(&d);
     uint64_t hash = 0;
     for (size_t i = 0; i < n; i++) hash = (hash >> 7 | hash << 57) ^ (uint32_t)d.arrays[3][i] ^ (uint64_t)(uint32_t)d.arrays[2][i] << 32;
@@ -187,7 +187,7 @@ static void test_counts(twz_encoder *encoder, const encode_tables *tables) {
   memset(counts, 0, sizeof counts);
   d.job.counts = counts;
   d.job.seen = seen;
-  CHECK(encode_rapid(encoder, tables, &d.job, NULL) == TWZ_OK);
+  CHECK(twz_python_encode(encoder, tables, &d.job, NULL) == TWZ_OK);
   int64_t total = 0, n_coded = 0;
   for (int i = 0; i < N_TABLES * N_SYMBOLS; i++) total += counts[i];
   CHECK(total >= 0 && total <= 2 * (int64_t)n);
@@ -243,22 +243,22 @@ static void test_mask(twz_encoder *encoder) {
     j.own_above = bytes[5];
     j.valid_above = bytes[6];
   }
-  CHECK(encode_mask(encoder, &j, NULL) == TWZ_OK);
+  CHECK(twz_python_encode_mask(encoder, &j, NULL) == TWZ_OK);
   CHECK(j.n_bits <= j.capacity);
   for (uint64_t i = 0; i < j.n_bits; i++) CHECK(j.bits[i] <= 1 && j.models[i] < 62);
   uint32_t freqs[62], states[4] = {FIRST_STATE, FIRST_STATE, FIRST_STATE, FIRST_STATE};
   for (int i = 0; i < 62; i++) freqs[i] = 1 + below(SLOTS - 1);
   uint8_t *words = malloc(2 * (size_t)j.n_bits + 1);
   if (!words) exit(2);
-  CHECK(encode_mask_bits(j.models, j.bits, j.n_bits, freqs, below(2) ? 4 : 1, states, words) <= j.n_bits);
+  CHECK(twz_python_mask_words(j.models, j.bits, j.n_bits, freqs, below(2) ? 4 : 1, states, words) <= j.n_bits);
   for (int i = 0; i < 4; i++) CHECK(states[i] >= FIRST_STATE);
   if (j.n_bits > 1) {
     j.capacity = j.n_bits - 1;
     j.n_bits = 0;
-    CHECK(encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
+    CHECK(twz_python_encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
   }
   j.size--;
-  CHECK(encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
+  CHECK(twz_python_encode_mask(encoder, &j, NULL) == TWZ_BAD_ARGUMENT);
   free(words);
   for (int i = 0; i < 7; i++) free(bytes[i]);
 }
@@ -278,7 +278,7 @@ static void test_pyramid(void) {
     for (size_t i = 0; type == RAW_F8 && i < n; i++) memcpy(raw + 8 * i, &ODD[below(10)], 8);
     for (size_t i = 0; i < n; i++) valid[i] = below(4) > 0; /* of floats of any bits: NaN, infinities */
     for (int is_whole = 0; is_whole < 2; is_whole++) {
-      quantise_heights(type, raw, valid, n, is_whole, 1 + below(1000), 1 + below(1000), between(-1000, 1000), quanta);
+      twz_python_quantise(type, raw, valid, n, is_whole, 1 + below(1000), 1 + below(1000), between(-1000, 1000), quanta);
       for (size_t i = 0; i < n; i++) CHECK(valid[i] || quanta[i] == 0);
     }
     free(raw);
@@ -296,13 +296,13 @@ static void test_pyramid(void) {
   int64_t *lines = malloc(2 * (size_t)n_cols * sizeof *lines);
   if (!fine || !values || !filled || !known || !is_known || !lines) exit(2);
   for (size_t i = 0; i < n; i++) fine[i] = below(3) ? between(-MOST_Z, MOST_Z) : UNKNOWN_HEIGHT;
-  push_heights(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
+  twz_python_push(fine, n_rows, n_cols, first_row, first_col, lines, to_rows, to_cols, values, known);
   for (size_t i = 0; i < n_to; i++) CHECK(known[i] <= 1 && (known[i] || values[i] == 0));
   for (size_t i = 0; i < n_below; i++) {
     is_known[i] = (uint8_t)below(2);
     filled[i] = 7;
   }
-  pull_heights(fine, n_rows, n_cols, first_row, first_col, below_rows, below_cols, is_known, filled);
+  twz_python_pull(fine, n_rows, n_cols, first_row, first_col, below_rows, below_cols, is_known, filled);
   for (size_t i = 0; i < n_below; i++) CHECK(!is_known[i] || filled[i] == 7);
   free(fine);
   free(values);
@@ -342,12 +342,12 @@ static void test_no_memory(void) {
     memset(d.arrays[2], 0, (size_t)d.job.n_rows * (size_t)d.job.n_cols * sizeof(int32_t));
     encode_tables *tables = new_tables(&allocator, 0, &status);
     if (status == TWZ_OK) status = encoder_new(&allocator, TWZ_KERNELS_AUTO, &encoder, NULL); else encoder = NULL;
-    if (status == TWZ_OK) status = encode_rapid(encoder, tables, &d.job, NULL);
+    if (status == TWZ_OK) status = twz_python_encode(encoder, tables, &d.job, NULL);
     CHECK(status == TWZ_OK || status == TWZ_NO_MEMORY);
     if (status == TWZ_NO_MEMORY && encoder) { /* it can be used again */
       f.n_left = 100;
       memset(d.arrays[2], 0, (size_t)d.job.n_rows * (size_t)d.job.n_cols * sizeof(int32_t));
-      CHECK(encode_rapid(encoder, tables, &d.job, NULL) == TWZ_OK);
+      CHECK(twz_python_encode(encoder, tables, &d.job, NULL) == TWZ_OK);
       check_heights(&d);
     }
     is_done = status == TWZ_OK;
@@ -365,7 +365,7 @@ static void test_wrong_jobs(twz_encoder *encoder, const encode_tables *tables) {
 #define REFUSED(field, value)                                                  \
   d.job = sound;                                                               \
   d.job.field = value;                                                         \
-  CHECK(encode_rapid(encoder, tables, &d.job, NULL) == TWZ_BAD_ARGUMENT)
+  CHECK(twz_python_encode(encoder, tables, &d.job, NULL) == TWZ_BAD_ARGUMENT)
   REFUSED(size, sizeof sound - 8);
   REFUSED(n_rows, 0);
   REFUSED(n_cols, -1);

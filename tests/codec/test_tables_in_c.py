@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from terrainwave.codec.planes import FileStencil
+from terrainwave.codec.rapid import fit_stencils, fit_weights
 from terrainwave.codec.rapid.file_tables import (
     EXISTS,
     MAX_CODE,
@@ -77,3 +78,80 @@ def test_bytes_are_the_same_and_so_is_what_any_bytes_say(seed, with_library, mon
         assert pack_file_tables(tables) == section
         assert [parsed(bytes(data)) for data in (section, *damaged)] == said
         monkeypatch.setenv(native_library.SWITCH, "1")
+
+
+# Fits -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(54)
+
+
+def both(function, *arguments):
+    """Return what the library and NumPy make of the same arguments, which they may change."""
+    assert native_library.loaded() is not None
+    own = [tuple(np.copy(a) if isinstance(a, np.ndarray) else a for a in arguments) for _ in "12"]
+    return function(*own[0]), function.__wrapped__(*own[1])
+
+
+@pytest.mark.parametrize("plane", PLANES)
+@pytest.mark.parametrize("step", [1, 3, 7001])
+@pytest.mark.parametrize("has_void", [False, True])
+def test_samples_are_gathered_alike(monkeypatch, rng, plane, step, has_void):
+    high = int(rng.choice([300, 2**31 - 1]))
+    windows = rng.integers(-high, high, (2, 70, 90), dtype=np.int32)
+    masks = np.ones(windows.shape, dtype=bool)
+    if has_void:
+        masks = rng.random(windows.shape) < 0.98
+    found = fit_stencils.gather(plane, windows, masks, 0, step)
+    monkeypatch.setattr(fit_stencils, "gather_at", fit_stencils.gather_at.__wrapped__)
+    expected = fit_stencils.gather(plane, windows, masks, 0, step)
+    assert found.every == expected.every
+    np.testing.assert_array_equal(found.values, expected.values)
+
+
+def drawn_samples(rng, n=512):
+    values = np.rint(rng.normal(0, 10 ** rng.uniform(0, 4.5), (n, 25))).clip(-(2**17), 2**17)
+    return np.ascontiguousarray(values)
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_errors_costs_and_products_are_alike(rng, turn):
+    values, every = drawn_samples(rng, 128 << turn), 1 << turn
+    weights = rng.integers(-4096, 4096, (5, int(rng.choice([16, 20, 24]))))
+    parts = values[::every]
+    for function, arguments in [
+        (fit_stencils.errors_of, (weights,)),
+        (fit_stencils.sums_of_bits, (weights, rng.random(5) * 4)),
+        (fit_stencils.products_of, (rng.random(len(parts)),)),
+    ]:
+        expected = function.__wrapped__(np.ascontiguousarray(parts), *arguments)
+        np.testing.assert_equal(function(parts, *arguments), expected)
+    zeros = np.zeros((128, 25))
+    np.testing.assert_equal(*both(fit_stencils.products_of, zeros, np.ones(128)))
+
+
+def test_systems_are_solved_alike_and_those_without_a_solution_too(rng):
+    parts = rng.normal(size=(6, 200, 25))
+    systems = np.rint(1000 * parts[:, :, :24].transpose(0, 2, 1) @ parts)
+    systems[1, 5] = systems[1, :, 5] = 0
+    systems[2] = 0
+    found, expected = both(fit_stencils.solve, systems)
+    np.testing.assert_array_equal(found, expected)
+    assert np.isfinite(found[0]).all()
+    assert not np.isfinite(found[2]).any()
+
+
+@pytest.mark.parametrize("every", [1, 2, 5, 1000])
+def test_rows_and_their_products_are_alike(rng, every):
+    n = 5000
+    features = rng.integers(0, 2**20, (3, n), dtype=np.int32)
+    features[2, ::3] = 0
+    details = rng.integers(-(2**18), 2**18, n, dtype=np.int32)
+    is_coded = rng.random(n) < 0.9
+    rows, expected = both(fit_weights.rows_of, features, details, is_coded, every, 4.0 / 3)
+    np.testing.assert_array_equal(rows, expected)
+    for weights in ([0.5, 0.25, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0], [3.9, 3.9, 3.9, 3.9]):
+        found = both(fit_weights.weighed_products, rows, np.array(weights))
+        np.testing.assert_array_equal(*found)

@@ -114,6 +114,8 @@ def rare_kernel(function: Callable[..., Any]) -> Any:
 # Seconds that plain Python may take for a rare kernel in a process: a few files' worth. Then it is
 # compiled, in about a second, for this process and all later ones.
 _MOST_PLAIN_SECONDS = 0.15
+# And so many where numba is not even imported, which takes as long.
+_SECONDS_OF_IMPORT = 1.0
 _is_patient = True
 
 
@@ -150,7 +152,7 @@ class _RareKernel:
     def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether to use plain Python: it took little time, and nothing is compiled."""
         if not _has_numba():
-            return True  # importing it takes longer than many files
+            return self._seconds < _SECONDS_OF_IMPORT
         if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         return not _compiled().is_kept(self._compiled.made(), arguments)

@@ -5,7 +5,6 @@ them open loop (`fit_stencils`); then they are coded as if each were a file of i
 symbols counted. All in whole numbers: the same raster gives the same tables everywhere.
 """
 
-from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
@@ -189,14 +188,14 @@ def _coded(
         counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
         if not valid.any():  # fills alone, which may be far from all heights
             return coder, counts
-        low, high = int(whole.min()), int(whole.max())
+        (low, high), is_full = (int(whole.min()), int(whole.max())), bool(valid.all())
         above = np.ascontiguousarray(whole[:: 1 << N_LEVEL_CLASSES, :: 1 << N_LEVEL_CLASSES])
         for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
             part = np.s_[:: 1 << depth, :: 1 << depth]
-            target, mask = whole[part], valid[part]
-            spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
-            spec = replace(spec, level=tables.k_max - depth)
-            above = coder.count(spec, above, target, None if mask.all() else mask, counts)
+            target, mask = whole[part], None if is_full else valid[part]
+            region, level = Region(0, 0, *target.shape), tables.k_max - depth
+            spec = GroupSpec.alone(region, sample.step, low, high, level=level)
+            above = coder.count(spec, above, target, mask, counts)
         return coder, counts
 
     return list(each(code, list(zip(sample.windows, sample.masks, strict=True))))

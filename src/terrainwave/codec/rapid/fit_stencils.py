@@ -22,6 +22,7 @@ from terrainwave.codec.rapid.file_tables import (
 )
 from terrainwave.codec.rapid.layout import HH, MAX_SUM, N_LEVEL_CLASSES, TAPS
 from terrainwave.codec.refiner import Each, Heights, Mask
+from terrainwave.coding.native_library import also_in_c
 
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
@@ -35,8 +36,8 @@ _JUDGED = 2048  # samples that stencils are compared by
 _MIN_SAMPLES = 256
 _MARGIN = 4  # no tap is further away, in samples of the lattice
 # Samples are whole numbers of 1/64 step, at most 2**17; scaled by their influence at most 2**20.
-_FINE = 64
-_MOST, _MOST_SCALED_BITS = 1 << 17, 20
+FINE = 64
+MOST, MOST_SCALED_BITS = 1 << 17, 20
 _INFLUENCE = 1 << 20
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
@@ -49,7 +50,8 @@ _SHIFTS = (0, 2, 3, 4, 5)
 # Costs are in 1/64 bit.
 COST_UNIT = 64
 _BITS_OF_ONE = 127 << 23  # of float32
-_MOST_SQUARED = 16777216.0
+_IN_C = also_in_c("terrainwave.codec.rapid.tables_in_c")
+MOST_SQUARED = 16777216.0
 # A stencil must save so many times its own bits.
 _WORTH = 1.5
 
@@ -113,33 +115,53 @@ def _stencils(chosen: dict[tuple[int, int], FileStencil]) -> Stencils:
 def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> FitSamples | None:
     """Collect samples of a plane and class from windows; None if there are too few."""
     offsets = _offsets(plane)
-    n_taps = len(offsets)
-    flat, valid = windows.ravel(), masks.ravel()
-    places_of_taps = np.append(offsets[:, 0] * windows.shape[2] + offsets[:, 1], 0)
-    has_void = not masks.all()
-    found, n_places = [], 0
-    for depth in CLASS_DEPTHS[which]:
-        places, n = _places(plane, windows.shape, depth, _WANTED[which])
-        n_places += n
-        near = places[:, None] + (places_of_taps << depth)
-        if has_void:
-            near = near[valid.take(near).all(1)]
-        found.append(flat.take(near))
-    n_found = sum(len(part) for part in found)
+    in_flat = np.append(offsets[:, 0] * windows.shape[2] + offsets[:, 1], 0)
+    core = np.flatnonzero(core_taps(plane))
+    flat, valid = windows.ravel(), None if masks.all() else masks.ravel()
+    at = [_places(plane, windows.shape, depth, _WANTED[which]) for depth in CLASS_DEPTHS[which]]
+    values = np.zeros((sum(len(places) for places, _ in at), MOST_TAPS + 1))
+    n_found = 0
+    for depth, (places, _) in zip(CLASS_DEPTHS[which], at, strict=True):
+        more = gather_at(places, in_flat << depth, core, flat, valid, step, values[n_found:])
+        n_found += more
     if n_found < _MIN_SAMPLES:
         return None
     n_found -= n_found % _AT_A_TIME
-    near_heights = np.concatenate(found)[:n_found]
-    values = np.zeros((n_found, MOST_TAPS + 1), dtype=np.float64)
-    values[:, :n_taps], values[:, MOST_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
-    first, second, third, fourth = values[:, np.flatnonzero(core_taps(plane))].T
-    # Quarters of quanta, so that no sum is rounded; of taps that a plane has not, nothing is used.
-    values -= (0.25 * (first + second + third + fourth))[:, None]
-    values *= _FINE / step
-    values[:, n_taps:MOST_TAPS] = 0
-    np.rint(values, out=values)
-    np.clip(values, -_MOST, _MOST, out=values)
-    return FitSamples(values, n_places / n_found)
+    return FitSamples(values[:n_found], sum(n for _, n in at) / n_found)
+
+
+@_IN_C
+def gather_at(
+    places: NDArray[np.int64], offsets: NDArray[np.int64], core: NDArray[np.int64],
+    flat: Heights, valid: Mask | None, step: int, values: Reals,
+) -> int:  # fmt: skip
+    """Collect the samples at places, with their taps, where all are valid; return their number.
+
+    Parameters
+    ----------
+    places : ndarray of int64, shape (n,)
+        In flat windows.
+    offsets : ndarray of int64, shape (n_taps + 1,)
+        Of taps from the place, and 0.
+    core : ndarray of int64, shape (4,)
+        Taps of the core.
+    flat, valid : ndarray of int32 and of bool, shape (n_samples,)
+    values : ndarray of float64, shape (n or more, MOST_TAPS + 1)
+        `FitSamples.values`, written.
+    """
+    near = places[:, None] + offsets
+    if valid is not None:
+        near = near[valid.take(near).all(1)]
+    heights, found, n_taps = flat.take(near), values[: len(near)], len(offsets) - 1
+    found[:, :n_taps], found[:, MOST_TAPS] = heights[:, :n_taps], heights[:, n_taps]
+    first, second, third, fourth = found[:, core].T
+    # Quarters of quanta, so that no sum is rounded.
+    found -= (0.25 * (first + second + third + fourth))[:, None]
+    found *= FINE / step
+    found[:, n_taps:MOST_TAPS] = 0
+    np.rint(found, out=found)
+    np.clip(found, -MOST, MOST, out=found)
+    return len(near)
 
 
 def judged(samples: FitSamples) -> FitSamples:
@@ -184,13 +206,14 @@ def _offsets(plane: int) -> NDArray[np.int64]:
     )
 
 
-def _errors(samples: FitSamples, weights: NDArray[np.int64]) -> Reals:
+@_IN_C
+def errors_of(values: Reals, weights: NDArray[np.int64]) -> Reals:
     """Return the errors of weights, shape (sets, taps), in steps: shape (sets, n)."""
     n_sets, n_taps = weights.shape
-    parts = samples.values.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
+    parts = values.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
     sums = np.matmul(weights.astype(np.float64), parts[:, :, :n_taps].transpose(0, 2, 1))
     errors: Reals = parts[:, None, :, MOST_TAPS] * WHOLE - sums
-    errors *= 1.0 / (WHOLE * _FINE)
+    errors *= 1.0 / (WHOLE * FINE)
     return errors.transpose(1, 0, 2).reshape(n_sets, -1)
 
 
@@ -199,17 +222,24 @@ def costs_of(samples: FitSamples, weights: NDArray[np.int64], noises: Reals) -> 
 
     Half the logarithm of the squared error, from the exponent and mantissa of a float32.
     """
-    power = np.cumsum((weights / WHOLE) ** 2, axis=1)[:, -1:]
-    errors = _errors(samples, weights)
+    power = np.cumsum((weights / WHOLE) ** 2, axis=1)[:, -1]
+    # One is 2**-23 of an octave above 2**-127.
+    costs = sums_of_bits(samples.values, weights, noises * power)
+    costs -= _BITS_OF_ONE * len(samples.values)
+    return costs // (1 << 24) * COST_UNIT + costs % (1 << 24) * COST_UNIT // (1 << 24)
+
+
+@_IN_C
+def sums_of_bits(values: Reals, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
+    """Return sums of squared errors with noise, as bits of float32: shape (sets,)."""
+    errors = errors_of(values, weights)
     errors *= errors
-    errors += noises[:, None] * power
-    np.minimum(errors, _MOST_SQUARED, out=errors)
+    errors += noises[:, None]
+    np.minimum(errors, MOST_SQUARED, out=errors)
     errors *= 4.0
     errors += 1.0
-    # One is 2**-23 of an octave above 2**-127.
-    octaves = errors.astype(np.float32).view(np.int32)
-    costs: NDArray[np.int64] = octaves.sum(1, dtype=np.int64) - (_BITS_OF_ONE * errors.shape[1])
-    return costs // (1 << 24) * COST_UNIT + costs % (1 << 24) * COST_UNIT // (1 << 24)
+    sums: NDArray[np.int64] = errors.astype(np.float32).view(np.int32).sum(1, dtype=np.int64)
+    return sums
 
 
 def _best(plane: int, samples: FitSamples) -> int:
@@ -225,7 +255,7 @@ def _noise(samples: dict[tuple[int, int], FitSamples], best: dict[tuple[int, int
     """
     total, n = 0.0, 0
     for key, found in samples.items():
-        errors = _errors(found, _trained(key[1])[best[key], None])[0]
+        errors = errors_of(found.values, _trained(key[1])[best[key], None])[0]
         rest = np.rint((errors - np.rint(errors)) * 1024)
         total += float((rest * rest).sum())
         n += len(rest)
@@ -281,23 +311,32 @@ def _normal(samples: FitSamples, weights: Reals | None, every: int) -> tuple[Rea
     """
     every = min(every, len(samples.goals) // _AT_A_TIME)
     n_parts = len(samples.goals) // (_AT_A_TIME * every)
-    some = samples._replace(values=samples.values[: n_parts * _AT_A_TIME * every : every])
+    values = samples.values[: n_parts * _AT_A_TIME * every : every]
     if weights is None:
-        size = np.abs(some.goals) * (1.0 / _FINE) + 0.5
+        size = np.abs(values[:, MOST_TAPS]) * (1.0 / FINE) + 0.5
     else:
-        some = some._replace(values=np.ascontiguousarray(some.values))
-        size = np.abs(_errors(some, weights.astype(np.int64)[None])[0]) + 0.5
+        size = np.abs(errors_of(values, weights.astype(np.int64)[None])[0]) + 0.5
     influence = 1.0 / size
-    both = some.values * np.sqrt(influence)[:, None]
+    products, shift = products_of(values, np.sqrt(influence))
+    unit = float(np.ldexp(float(FINE), shift))
+    total = float(np.rint(influence * _INFLUENCE).sum()) / _INFLUENCE
+    return products, total * unit * unit
+
+
+@_IN_C
+def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
+    """Return products of samples times `roots`, scaled to few bits, and by how many bits.
+
+    Shape (MOST_TAPS, MOST_TAPS + 1).
+    """
+    both = values * roots[:, None]
     largest = max(float(both.max()), -float(both.min()))
-    shift = min(_MOST_SCALED_BITS - int(np.frexp(largest)[1]), _MOST_SCALED_BITS)
+    shift = min(MOST_SCALED_BITS - int(np.frexp(largest)[1]), MOST_SCALED_BITS)
     both *= 2.0**shift
     np.rint(both, out=both)
     parts = both.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
     products: Reals = np.matmul(parts[:, :, :MOST_TAPS].transpose(0, 2, 1), parts).sum(0)
-    unit = float(np.ldexp(float(_FINE), shift))
-    total = float(np.rint(influence * _INFLUENCE).sum()) / _INFLUENCE
-    return products, total * unit * unit
+    return products, shift
 
 
 def _weights(systems: Reals, penalties: Reals, is_core: Reals, has_tap: Reals) -> Reals:
@@ -313,18 +352,19 @@ def _weights(systems: Reals, penalties: Reals, is_core: Reals, has_tap: Reals) -
     systems *= has_tap[:, :, None]
     systems[:, :, :MOST_TAPS] *= has_tap[:, None]
     systems[:, diagonal, diagonal] += 1.0 - has_tap
-    solution = _solved(systems)
+    solution = solve(systems)
     with np.errstate(invalid="ignore", over="ignore"):
         rest = 1.0 - np.cumsum(solution, axis=1)[:, -1:]
         wanted = np.rint(WHOLE * (solution + is_core * (rest / 4)))
     return np.clip(np.where(np.isfinite(wanted), wanted, _FAR), -_FAR, _FAR)
 
 
-def _solved(systems: Reals) -> Reals:
+@_IN_C
+def solve(systems: Reals) -> Reals:
     """Return the solutions of symmetric positive definite systems, shape (n, size, size + 1).
 
-    By elimination without a sum: each operation rounds alike on every machine. What has no
-    solution, as its taps are all 0, is not finite.
+    Systems change. By elimination without a sum: each operation rounds alike on every machine.
+    What has no solution, as its taps are all 0, is not finite.
     """
     size = systems.shape[1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -43,13 +43,14 @@ Reals = NDArray[np.float64]
 _EACH_ALONE = np.eye(5, dtype=np.int32)[1:4]
 _AT_A_TIME = 1 << 10
 count_samples = also_in_c("terrainwave.codec.rapid.unit_in_c")(count_seen)
+_IN_C = also_in_c("terrainwave.codec.rapid.tables_in_c")
 # Samples of a class and plane that weights are fitted to, and how many are too few.
 _MOST_SAMPLES, _MIN_SAMPLES = 1 << 13, 128
 # Scaled to whole numbers of so many bits, products of this many samples have sums below 2**53.
-_SCALED_BITS = 18
+SCALED_BITS = 18
 _N_TURNS, _N_SWEEPS = 3, 16
 # Samples count by the inverse square of what was expected of them, in steps, and this.
-_LEAST_EXPECTED = 0.2
+LEAST_EXPECTED = 0.2
 _RIDGE = 1e-7
 # Codes end here: what one feature cannot expect, others have to.
 _LARGEST = float(NUMBER_OF_CODE[-1]) / (1 << WEIGHT_UNIT_BITS)
@@ -142,14 +143,23 @@ def fit_magnitude(seen: list[Seen], trained: Whole, step: int) -> NDArray[np.int
 
 def _in_steps(seen: Seen, every: int, step: int) -> Reals:
     """Return rows of 1, of the features, and of sizes of details in steps, of some samples."""
+    return rows_of(seen.features, seen.details, seen.is_coded, every, 2.0**seen.shift / step)
+
+
+@_IN_C
+def rows_of(
+    features: NDArray[np.int32], details: NDArray[np.int32], is_coded: NDArray[np.bool_],
+    every: int, unit: float,
+) -> Reals:  # fmt: skip
+    """Return the rows of `_in_steps`; the range and the bend are times `unit`."""
     # Not always in the same column.
-    turns = np.arange(len(seen.details) // every)
+    turns = np.arange(len(details) // every)
     picks = turns * every + (turns * 40503 >> 4) % every
-    coded = picks[seen.is_coded[picks]]
+    coded = picks[is_coded[picks]]
     rows = np.ones((N_FEATURES + 1, len(coded)))
-    rows[1:3] = seen.features[:2, coded] * (2.0**seen.shift / step)
-    rows[3] = seen.features[2, coded]
-    rows[4] = np.abs(seen.details[coded])
+    rows[1:3] = features[:2, coded] * unit
+    rows[3] = features[2, coded]
+    rows[4] = np.abs(details[coded])
     return rows
 
 
@@ -160,20 +170,21 @@ def _fitted(samples: list[Reals], weights: Reals) -> Reals:
     of least squares in which samples count by the inverse square of what these weights expect.
     """
     for _ in range(_N_TURNS):
-        found = [_products(rows, own) for rows, own in zip(samples, weights, strict=True)]
+        found = [weighed_products(rows, own) for rows, own in zip(samples, weights, strict=True)]
         products = np.array(found).reshape(-1, N_FEATURES + 1, N_FEATURES + 1)
         weights = _in_range(products, weights)
     return weights
 
 
-def _products(rows: Reals, weights: Reals) -> Reals:
+@_IN_C
+def weighed_products(rows: Reals, weights: Reals) -> Reals:
     """Return the normal equations of a turn; the last row and column are of the sizes."""
-    expected = np.full(rows.shape[1], _LEAST_EXPECTED)
+    expected = np.full(rows.shape[1], LEAST_EXPECTED)
     for weight, row in zip(weights.tolist(), rows, strict=False):
         expected += weight * row
     whole = rows / expected
     most = whole.max(1)
-    units = np.ldexp(1.0, _SCALED_BITS - np.frexp(np.where(most > 0, most, 1.0))[1])
+    units = np.ldexp(1.0, SCALED_BITS - np.frexp(np.where(most > 0, most, 1.0))[1])
     whole *= units[:, None]
     np.rint(whole, out=whole)
     products: Reals = whole @ whole.T / units[:, None] / units

@@ -1,13 +1,22 @@
-"""The bytes of a file's tables by the native library, as `file_tables` codes them."""
+"""A file's tables by the native library: the sums that fit them, and their bytes.
+
+As `fit_stencils`, `fit_weights` and `file_tables` do it.
+"""
 
 import ctypes
+from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from terrainwave.codec.in_c import INT, POINTER, call
-from terrainwave.codec.planes import MAX_WEIGHT
+from terrainwave.codec.in_c import INT, POINTER, call, library
+from terrainwave.codec.planes import MAX_WEIGHT, WHOLE
+from terrainwave.codec.rapid import fit_stencils, fit_weights
+from terrainwave.codec.rapid.file_tables import MOST_TAPS, N_FEATURES
+from terrainwave.codec.rapid.fit_stencils import Reals
 from terrainwave.codec.rapid.symbols import N_CLASSES, SINGLES
+from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.rangecoder import Coder
 
 _ARRAYS = (
@@ -52,3 +61,132 @@ def code_tables(coder: Coder, *arrays: Any) -> tuple[int, int]:
     )  # fmt: skip
     call("twz_python_code_tables", ctypes.byref(job))
     return job.status, job.which
+
+
+# Fits -------------------------------------------------------------------------------------------
+
+_LONG, _REAL = ctypes.c_int64, ctypes.c_double
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "gather_samples": (POINTER,),
+    "errors_of": (POINTER, _LONG, _LONG, POINTER, INT, _REAL, _REAL, POINTER),
+    "sums_of_bits": (
+        POINTER, _LONG, _LONG, POINTER, INT, _REAL, _REAL, POINTER, _REAL, POINTER, POINTER,
+    ),
+    "products_of": (POINTER, _LONG, _LONG, POINTER, INT, POINTER),
+    "solve": (POINTER, _LONG, POINTER),
+    "rows_of": (*(POINTER,) * 3, _LONG, _LONG, _REAL, _LONG, POINTER),
+    "weighed_products": (POINTER, _LONG, POINTER, _REAL, INT, POINTER, POINTER),
+}  # fmt: skip
+_BLOCK = 32  # FIT_BLOCK of native/src/encode_fit.h
+_RESULTS = {"gather_samples": _LONG, "products_of": INT, "rows_of": _LONG}
+
+
+class _Gathering(ctypes.Structure):
+    """Samples at places (gather_job of native/src/encode_fit.h)."""
+
+    _fields_ = [
+        *((name, POINTER) for name in ("heights", "valid", "places", "offsets")),
+        ("n_places", _LONG),
+        ("n_taps", INT),
+        ("core", INT * 4),
+        ("factor", _REAL),
+        ("most", _REAL),
+        ("values", POINTER),
+    ]
+
+
+@cache
+def _function(name: str) -> Any:
+    return library().plain(f"twz_python_{name}", _RESULTS.get(name), *_SIGNATURES[name])
+
+
+def gather_at(
+    places: NDArray[np.int64], offsets: NDArray[np.int64], core: NDArray[np.int64],
+    flat: Heights, valid: Mask | None, step: int, values: Reals,
+) -> int:  # fmt: skip
+    """Do as `fit_stencils.gather_at`."""
+    arrays = places, offsets, flat, values
+    assert all(array.flags.c_contiguous for array in arrays)
+    assert len(values) >= len(places)
+    job = _Gathering(
+        flat.ctypes.data, None if valid is None else valid.ctypes.data, places.ctypes.data,
+        offsets.ctypes.data, len(places), len(offsets) - 1, tuple(core.tolist()),
+        fit_stencils.FINE / step, fit_stencils.MOST, values.ctypes.data,
+    )  # fmt: skip
+    found: int = _function("gather_samples")(ctypes.byref(job))
+    return found
+
+
+def _rows(values: Reals) -> tuple[int, int, int]:
+    """Return the address of rows of samples, their number, and of how many they are each first."""
+    n, n_columns = values.shape
+    assert (n_columns, n % _BLOCK, values.strides[1]) == (MOST_TAPS + 1, 0, values.itemsize)
+    return values.ctypes.data, n, values.strides[0] // (values.itemsize * n_columns)
+
+
+def _sets(weights: NDArray[np.int64]) -> tuple[Reals, int, int, float]:
+    """Return sets of weights as the library takes them, their number, and units of errors."""
+    sets = np.zeros((len(weights), MOST_TAPS))
+    sets[:, : weights.shape[1]] = weights
+    return sets, len(sets), WHOLE, 1.0 / (WHOLE * fit_stencils.FINE)
+
+
+def errors_of(values: Reals, weights: NDArray[np.int64]) -> Reals:
+    """Do as `fit_stencils.errors_of`."""
+    (sets, *units), errors = _sets(weights), np.empty((len(weights), len(values)))
+    _function("errors_of")(*_rows(values), sets.ctypes.data, *units, errors.ctypes.data)
+    return errors
+
+
+def sums_of_bits(values: Reals, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
+    """Do as `fit_stencils.sums_of_bits`."""
+    (sets, *units), sums = _sets(weights), np.zeros(len(weights), dtype=np.int64)
+    noises, memory = np.ascontiguousarray(noises), np.empty((len(weights), _BLOCK))
+    _function("sums_of_bits")(
+        *_rows(values), sets.ctypes.data, *units, noises.ctypes.data, fit_stencils.MOST_SQUARED,
+        memory.ctypes.data, sums.ctypes.data,
+    )  # fmt: skip
+    return sums
+
+
+def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
+    """Do as `fit_stencils.products_of`."""
+    products = np.empty((MOST_TAPS, MOST_TAPS + 1))
+    shift = _function("products_of")(
+        *_rows(values), roots.ctypes.data, fit_stencils.MOST_SCALED_BITS, products.ctypes.data
+    )
+    return products, shift
+
+
+def solve(systems: Reals) -> Reals:
+    """Do as `fit_stencils.solve`."""
+    assert systems.flags.c_contiguous
+    assert systems.shape[1:] == (MOST_TAPS, MOST_TAPS + 1)
+    solutions = np.empty(systems.shape[:2])
+    _function("solve")(systems.ctypes.data, len(systems), solutions.ctypes.data)
+    return solutions
+
+
+def rows_of(
+    features: NDArray[np.int32], details: NDArray[np.int32], is_coded: NDArray[np.bool_],
+    every: int, unit: float,
+) -> Reals:  # fmt: skip
+    """Do as `fit_weights.rows_of`."""
+    rows = np.empty((N_FEATURES + 1, len(details) // every))
+    arrays = [np.ascontiguousarray(array) for array in (features, details, is_coded)]
+    found = _function("rows_of")(
+        *(array.ctypes.data for array in arrays), len(details), every, unit, rows.shape[1],
+        rows.ctypes.data,
+    )  # fmt: skip
+    return rows[:, :found]
+
+
+def weighed_products(rows: Reals, weights: Reals) -> Reals:
+    """Do as `fit_weights.weighed_products`."""
+    rows, weights = np.ascontiguousarray(rows), np.ascontiguousarray(weights)
+    parts, products = np.empty_like(rows), np.empty((len(rows), len(rows)))
+    _function("weighed_products")(
+        rows.ctypes.data, rows.shape[1], weights.ctypes.data, fit_weights.LEAST_EXPECTED,
+        fit_weights.SCALED_BITS, parts.ctypes.data, products.ctypes.data,
+    )  # fmt: skip
+    return products
