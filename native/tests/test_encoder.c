@@ -8,7 +8,9 @@
 #include <string.h>
 
 #include "encode.h"
+#include "encode_fit.h"
 #include "encode_pyramid.h"
+#include "kernels.h"
 
 enum { MOST_SIDE = 90, MOST_Z = 1 << 29, N_KINDS = 3, N_SEEN = 5 };
 
@@ -318,6 +320,61 @@ typedef struct failing {
   size_t n_left, n_held;
 } failing;
 
+/* Samples are in their memory and their range, and each kind of kernels sums them up alike. */
+static void test_fit(void) {
+  enum { SIDE = 40, EDGE = 5, N_SETS = 3, ALL = FIT_TAPS * FIT_COLUMNS };
+  static const twz_kernels KINDS[N_KINDS] = {TWZ_KERNELS_BASELINE, TWZ_KERNELS_AVX2, TWZ_KERNELS_AVX512};
+  const int32_t n_taps = 16 + 4 * (int32_t)below(3), step = between(1, 3);
+  const size_t n_places = FIT_BLOCK * (size_t)between(1, 3) * (size_t)step, n = n_places / (size_t)step;
+  int32_t *heights = malloc(SIDE * SIDE * sizeof *heights);
+  uint8_t *valid = malloc(SIDE * SIDE), *coded = malloc(n_places);
+  int64_t *places = malloc(n_places * sizeof *places), offsets[FIT_COLUMNS] = {0}, sums[N_SETS] = {0};
+  double *values = malloc(n_places * FIT_COLUMNS * sizeof *values), *roots = malloc(n * sizeof *roots);
+  double *errors = malloc(N_SETS * n * sizeof *errors), weights[N_SETS * FIT_TAPS], products[2][ALL], noises[N_SETS] = {0, 1, 2};
+  for (int i = 0; i < SIDE * SIDE; i++) heights[i] = below(20) ? between(-3000, 3000) : between(INT32_MIN, INT32_MAX);
+  for (int i = 0; i < SIDE * SIDE; i++) valid[i] = below(50) != 0;
+  for (int i = 0; i < n_taps; i++) offsets[i] = between(-EDGE, EDGE) * SIDE + between(-EDGE, EDGE);
+  for (size_t i = 0; i < n_places; i++) places[i] = between(EDGE, SIDE - EDGE - 1) * SIDE + between(EDGE, SIDE - EDGE - 1);
+  gather_job job = {heights, valid, places, offsets, (int64_t)n_places, n_taps, {0, 1, 2, n_taps - 1}, 64.0 / between(1, 9), 131072, values};
+  int64_t n_valid = twz_python_gather_samples(&job);
+  CHECK(n_valid >= 0 && n_valid <= (int64_t)n_places);
+  job.valid = NULL;
+  CHECK(twz_python_gather_samples(&job) == (int64_t)n_places);
+  for (size_t i = 0; i < n_places * FIT_COLUMNS; i++) CHECK(values[i] >= -131072 && values[i] <= 131072 && values[i] == (double)(int32_t)values[i]);
+  for (int i = 0; i < N_SETS * FIT_TAPS; i++) weights[i] = i < FIT_TAPS ? 0 : between(-20000, 20000);
+  for (size_t i = 0; i < n; i++) roots[i] = 1.0 / between(1, 1000);
+  twz_python_errors_of(values, (int64_t)n, step, weights, N_SETS, 4096, 1.0 / 262144, errors);
+  for (size_t i = 0; i < n; i++) CHECK(errors[i] == values[i * (size_t)step * FIT_COLUMNS + FIT_TAPS] / 64);
+  double *others = malloc(N_SETS * n * sizeof *others);
+  int32_t shift = twz_python_products_of(values, (int64_t)n, step, roots, 20, products[0]);
+  for (int k = 0; k < N_KINDS; k++) {
+    const row_kernels *kernels = find_kernels(KINDS[k]);
+    if (!kernels) continue;
+    kernels->fit_errors(values, (int64_t)n, step, weights, N_SETS, 4096, 1.0 / 262144, others);
+    CHECK(memcmp(errors, others, N_SETS * n * sizeof *errors) == 0);
+    kernels->fit_products(values, (int64_t)n, step, roots, shift < 0 ? 1.0 / (1 << -shift) : 1 << shift, products[1]);
+    for (int i = 0; i < ALL; i++) CHECK(i % FIT_COLUMNS < i / FIT_COLUMNS || products[0][i] == products[1][i]);
+  }
+  twz_python_sums_of_bits(values, (int64_t)n, step, weights, N_SETS, 4096, 1.0 / 262144, noises, 16777216, others, sums);
+  CHECK(sums[1] >= (int64_t)n * (127 << 23) && sums[2] >= (int64_t)n * (127 << 23));
+  /* A system of the unit matrix has its last column as its solution. */
+  for (int i = 0; i < ALL; i++) products[0][i] = i % FIT_COLUMNS == i / FIT_COLUMNS ? 1 : i % FIT_COLUMNS == FIT_TAPS ? i : 0;
+  twz_python_solve(products[0], 1, weights);
+  for (int i = 0; i < FIT_TAPS; i++) CHECK(weights[i] == i * FIT_COLUMNS + FIT_TAPS);
+  for (int i = 0; i < FIT_FEATURES; i++) weights[i] = i;
+  const int64_t m = (int64_t)n / 4, every = between(1, 3);
+  const size_t capacity = (size_t)(m / every);
+  double *rows = malloc((capacity + 1) * FIT_ROWS * sizeof *rows), *parts = malloc((capacity + 1) * FIT_ROWS * sizeof *parts);
+  for (int64_t i = 0; i < m; i++) coded[i] = below(9) != 0;
+  for (int64_t i = 0; i < SIDE * SIDE; i++) heights[i] = between(0, 1 << 20);
+  int64_t n_rows = twz_python_rows_of(heights, heights + 3 * m, coded, m, every, 0.25, (int64_t)capacity, rows);
+  CHECK(n_rows >= 0 && n_rows <= (int64_t)capacity);
+  for (size_t i = 0; i < capacity * FIT_ROWS; i++) rows[i] = between(0, 1 << 20);
+  twz_python_weighed_products(rows, (int64_t)capacity, weights, 0.2, 18, parts, products[0]);
+  for (int i = 0; i < FIT_ROWS * FIT_ROWS; i++) CHECK(products[0][i] == products[0][i % FIT_ROWS * FIT_ROWS + i / FIT_ROWS]);
+  free(heights), free(valid), free(coded), free(places), free(values), free(roots), free(errors), free(others), free(rows), free(parts);
+}
+
 static void *fail_later(void *context, size_t n_bytes) {
   failing *f = context;
   if (f->n_left == 0) return NULL;
@@ -390,6 +447,7 @@ int main(int n_arguments, char **arguments) {
     for (int i = 0; i < n_units / 4; i++) test_counts(encoders[0], tables);
     for (int i = 0; i < n_units; i++) test_mask(encoders[0]);
     for (int i = 0; i < n_units / 4; i++) test_pyramid();
+    for (int i = 0; i < n_units / 4; i++) test_fit();
     for (int i = 0; i < 3; i++) test_wrong_jobs(encoders[0], tables);
     encode_tables_free(tables);
   }
