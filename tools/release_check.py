@@ -40,7 +40,8 @@ DOCUMENTS = ("README.md", "docs/index.md")
 NOT_FOR_USERS = {"bench", "fuzz", "release", "docs", "dev"}
 TESTS = ("tests/test_terrain.py", "tests/test_golden.py", "tests/codec", "tests/cli")
 TEST_PACKAGES = ("pytest", "hypothesis", "scipy")
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+_PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT, WHEEL = _PYPROJECT["project"], _PYPROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
 EXTRAS = [name for name in PROJECT["optional-dependencies"] if name not in NOT_FOR_USERS]
 ENVIRONMENTS = ["core", "any", *EXTRAS, "newest", "lowest"]
 
@@ -104,7 +105,8 @@ def unpack(sdist: Path, folder: Path) -> Path:
 def contents(path: Path) -> set[str]:
     """Return the names of files in an sdist, less its folder, or in a wheel."""
     if path.suffix == ".whl":
-        return set(zipfile.ZipFile(path).namelist())
+        # auditwheel lists folders, too.
+        return {name for name in zipfile.ZipFile(path).namelist() if not name.endswith("/")}
     with tarfile.open(path) as archive:
         return {member.name.split("/", 1)[1] for member in archive if member.isfile()}
 
@@ -118,11 +120,11 @@ def expected_contents(path: Path) -> set[str]:
     wheel = {f"{about}/{name}" for name in licences | generated} | {"terrainwave/native.json"}
     if not path.name.endswith("-any.whl"):
         wheel.add(f"terrainwave/{native_sources.NAME}")
+    wheel.update(WHEEL["force-include"].values())
     for name in listed:
-        if name.startswith("src/"):
-            wheel.add(name.removeprefix("src/"))
-        elif name.startswith(("js/src/", "js/map/", "js/notebook/")) or name == "js/LICENSE":
-            wheel.add(name.replace("js/", "terrainwave/ext/serve/reader/", 1))
+        if any(f"{name}/".startswith(f"{part}/") for part in WHEEL["only-include"]):
+            source = next(part for part in WHEEL["sources"] if name.startswith(f"{part}/"))
+            wheel.add(WHEEL["sources"][source] + name.removeprefix(source))
     return wheel if path.suffix == ".whl" else {*listed, "PKG-INFO"}
 
 
