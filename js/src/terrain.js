@@ -294,6 +294,24 @@ export class Terrain {
     return (await engine.blockError(place, fetch)) * Math.abs(this.scale);
   }
 
+  /** Return the root of the file's digests as it states it, which nothing is compared with; null without digests. */
+  async statedRoot() {
+    const { engine, fetch } = this.#given;
+    return engine.statedRoot(fetch);
+  }
+
+  /** Return the digest of a tile, { heights, valid, nRows, nCols }: 512 x 512 samples, fewer at the last ones. */
+  async digest(tile) {
+    const { engine, fetch } = this.#given;
+    return engine.digested("digest", tile, fetch);
+  }
+
+  /** Return the root of all heights by the digests of all tiles, row by row, in one Uint8Array. */
+  async rootOf(digests) {
+    const { engine, fetch } = this.#given;
+    return engine.digested("rootOf", digests, fetch);
+  }
+
   /** Return { nRows, nCols } of the blocks of a level. */
   blockShape(level = -1) {
     const step = 2 ** (this.nLevels - 1 - this.#level(level));
