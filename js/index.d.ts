@@ -75,6 +75,8 @@ export class Terrain {
   readonly nRows: number;
   readonly nCols: number;
   readonly nLevels: number;
+  /** Bytes of the file. */
+  readonly fileSize: number;
   /** Cells per side of a block. */
   readonly blockSize: number;
   readonly dtype: DtypeName;

@@ -77,7 +77,7 @@ export class Terrain {
     const metadata = Object.fromEntries(all); // defines "__proto__" as a key like any other
     const { crs = null, units = null, scale = 1, offset = 0 } = metadata;
     const heightsAre = KINDS.includes(metadata.heights_are) ? metadata.heights_are : null;
-    Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre });
+    Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre, fileSize: given.file.size });
     this.hasVoids = (features & HAS_VOIDS) !== 0;
     this.#given = given;
     Object.freeze(this);

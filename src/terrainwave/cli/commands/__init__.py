@@ -15,6 +15,7 @@ from terrainwave.cli.commands import (
     publish,
     render,
     serve,
+    site,
     tiles,
     verify,
     view,
@@ -44,6 +45,7 @@ for _command in (
     view.view,
     serve.serve,
     publish.publish,
+    site.site,
     tiles.tiles,
 ):
     main.add_command(_command)
