@@ -3,7 +3,9 @@
 import Martini from "./martini/martini.js";
 
 /** Samples on a side of the grid, a power of 2 and 1. */
-export const SIDE = 129;
+export const SIDE = 513;
+/** Triangles that a map draws in a moment. */
+const MOST_DRAWN = 40000;
 const martini = new Martini(SIDE);
 
 /** Return what makes meshes of `known`, SIDE x SIDE heights of a part of the map, NaN where void. */
@@ -11,10 +13,14 @@ export function mesher(known) {
   const lowest = known.reduce((low, height) => (height < low ? height : low), Infinity);
   const tile = martini.createTile(Float32Array.from(known, (height) => (Number.isNaN(height) ? lowest : height)));
 
-  /** Return { lines, nTriangles, error }: pairs of places [column, row], and how far samples are from the mesh. */
+  /**
+   * Return { lines, nTriangles, error }: pairs of places [column, row], none of too many triangles, and how far
+   * samples are from the mesh.
+   */
   return (tolerance) => {
     const { vertices, triangles } = tile.getMesh(tolerance);
     const edges = new Map();
+    const isDrawn = triangles.length <= 3 * MOST_DRAWN;
     let [nTriangles, error] = [0, 0];
     for (let i = 0; i < triangles.length; i += 3) {
       const corners = [0, 1, 2].map((k) => triangles[i + k]);
@@ -22,6 +28,7 @@ export function mesher(known) {
       if (places.some(([col, row]) => Number.isNaN(known[row * SIDE + col]))) continue;
       nTriangles++;
       error = Math.max(error, distanceOf(known, places));
+      if (!isDrawn) continue;
       corners.forEach((at, k) => {
         const next = (k + 1) % 3;
         const key = Math.min(at, corners[next]) * SIDE * SIDE + Math.max(at, corners[next]);

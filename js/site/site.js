@@ -13,7 +13,12 @@ import { prove } from "./prove.js";
 
 const element = (id) => document.getElementById(id);
 const LINES = { type: "Feature", properties: {}, geometry: { type: "MultiLineString", coordinates: [] } };
-const ON_MAP = { mesh: ["line", { "line-color": "#102a43", "line-width": 1 }], worst: ["circle", { "circle-color": "#d43d1a", "circle-radius": 8, "circle-stroke-color": "#fff", "circle-stroke-width": 2 }] };
+const ON_MAP = {
+  mesh: ["line", { "line-color": "#102a43", "line-width": 0.7 }],
+  worst: ["circle", {
+    "circle-color": "#d43d1a", "circle-radius": 8, "circle-stroke-color": "#fff", "circle-stroke-width": 2,
+  }],
+};
 /** Places along each side of the map that are looked at for what is in view. */
 const N_LOOKED_AT = 33;
 const MOST_SAVED = 2 ** 26;
@@ -48,7 +53,9 @@ function list(id, entries) {
 
 async function openTerrain(from, name) {
   say("said", `Opening ${name} …`);
-  const terrain = await open(from);
+  const terrain = await open(from).catch(({ message }) => {
+    throw new Error(`${name} cannot be opened as a .twz file: ${message}`);
+  });
   const described = describe(terrain, nameFor(name), terrains[0].ramps);
   opened.set(described.name, { from, terrain });
   const isFile = from instanceof Blob;
@@ -234,7 +241,8 @@ function showMesh() {
   const data = { ...LINES, geometry: { ...LINES.geometry, coordinates: lines.map((line) => line.map(place)) } };
   draw("mesh", data);
   say("meshed", `${nTriangles.toLocaleString("en")} triangles, at most ${written(measured)} from the ${SIDE} × ${SIDE}`
-    + ` heights of the view, and ${written(measured + others)} from the original.`);
+    + ` heights of the view, and ${written(measured + others)} from the original.`
+    + (lines.length || !nTriangles ? "" : " They are too many to draw: move closer, or raise the tolerance."));
 }
 
 // Prove.

@@ -41,7 +41,7 @@ _SITE, _BETWEEN = "site", "<!-- below the description -->"
 # Pictures in style sheets are data; visitors may name a file on another server.
 _SITE_POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
-    " style-src 'self'; img-src 'self' data: blob:; connect-src 'self' https: data:;"
+    " style-src 'self'; img-src 'self' data: blob:; connect-src 'self' http: https: data:;"
     " object-src 'none'; base-uri 'none'; form-action 'none'"
 )
 # Readable with and without red-green blindness.
