@@ -15,7 +15,6 @@ from terrainwave.cli.commands import (
     publish,
     render,
     serve,
-    site,
     tiles,
     verify,
     view,
@@ -45,7 +44,7 @@ for _command in (
     view.view,
     serve.serve,
     publish.publish,
-    site.site,
+    publish.site,
     tiles.tiles,
 ):
     main.add_command(_command)
