@@ -11,7 +11,7 @@ const MOST_COLS = 32 * TILE;
 let terrain = null;
 let original = null;
 
-const WORK = {
+export const WORK = {
   /** Open both; return what the page has to know. */
   async open({ twz, tif, band, cacheBytes }) {
     terrain = await open(twz, { cacheBytes, workers: 0 });
@@ -64,12 +64,12 @@ function cut({ heights, valid, nRows, nCols: width }, left, nCols) {
   return { heights: own, valid: ownValid, nRows, nCols };
 }
 
-self.onmessage = async ({ data: { id, what, question } }) => {
+globalThis.onmessage = async ({ data: { id, what, question } }) => {
   try {
-    self.postMessage({ id, found: await WORK[what](question) });
+    globalThis.postMessage({ id, found: await WORK[what](question) });
   } catch (error) {
     const isOurs = ["CorruptStreamError", "UnsupportedError", "SourceError"].includes(error.name);
     const message = isOurs ? `the .twz file cannot be read: ${error.message}` : error.message;
-    self.postMessage({ id, error: { name: error.name, message } });
+    globalThis.postMessage({ id, error: { name: error.name, message } });
   }
 };

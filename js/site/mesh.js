@@ -6,6 +6,8 @@ import Martini from "./martini/martini.js";
 export const SIDE = 513;
 /** Triangles that a map draws in a moment. */
 const MOST_DRAWN = 40000;
+/** Below this tolerance a mesh of all places is tried. */
+const LEAST = 1e-6;
 const martini = new Martini(SIDE);
 
 /** Return what makes meshes of `known`, SIDE x SIDE heights of a part of the map, NaN where void. */
@@ -13,29 +15,37 @@ export function mesher(known) {
   const lowest = known.reduce((low, height) => (height < low ? height : low), Infinity);
   const tile = martini.createTile(Float32Array.from(known, (height) => (Number.isNaN(height) ? lowest : height)));
 
-  /**
-   * Return { lines, nTriangles, error }: pairs of places [column, row], none of too many triangles, and how far
-   * samples are from the mesh.
-   */
-  return (tolerance) => {
-    const { vertices, triangles } = tile.getMesh(tolerance);
-    const edges = new Map();
-    const isDrawn = triangles.length <= 3 * MOST_DRAWN;
-    let [nTriangles, error] = [0, 0];
-    for (let i = 0; i < triangles.length; i += 3) {
-      const corners = [0, 1, 2].map((k) => triangles[i + k]);
-      const places = corners.map((at) => [vertices[2 * at], vertices[2 * at + 1]]);
+  /** Return { triangles, error }: three places [column, row] of each, and how far samples are from them. */
+  const meshed = (asked) => {
+    const { vertices, triangles: corners } = tile.getMesh(asked);
+    const triangles = [];
+    let error = 0;
+    for (let i = 0; i < corners.length; i += 3) {
+      const places = [...corners.subarray(i, i + 3)].map((at) => [vertices[2 * at], vertices[2 * at + 1]]);
       if (places.some(([col, row]) => Number.isNaN(known[row * SIDE + col]))) continue;
-      nTriangles++;
+      triangles.push(places);
       error = Math.max(error, distanceOf(known, places));
-      if (!isDrawn) continue;
-      corners.forEach((at, k) => {
-        const next = (k + 1) % 3;
-        const key = Math.min(at, corners[next]) * SIDE * SIDE + Math.max(at, corners[next]);
-        edges.set(key, [places[k], places[next]]);
+    }
+    return { triangles, error };
+  };
+
+  /** Return { lines, nTriangles, error } within a tolerance: pairs of places, none of too many triangles. */
+  return (tolerance) => {
+    let found = meshed(tolerance);
+    // Martini adds no errors up: samples may be further away than it was asked for.
+    for (let asked = tolerance; found.error > tolerance; found = meshed(asked)) {
+      asked = asked > LEAST ? 0.9 * asked * (tolerance / found.error) : 0;
+    }
+    const { triangles, error } = found;
+    const edges = new Map();
+    for (const places of triangles.length > MOST_DRAWN ? [] : triangles) {
+      places.forEach((from, k) => {
+        const ends = [from, places[(k + 1) % 3]];
+        const [one, other] = ends.map(([col, row]) => row * SIDE + col);
+        edges.set(Math.min(one, other) * SIDE * SIDE + Math.max(one, other), ends);
       });
     }
-    return { lines: [...edges.values()], nTriangles, error };
+    return { lines: [...edges.values()], nTriangles: triangles.length, error };
   };
 }
 

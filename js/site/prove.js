@@ -39,19 +39,19 @@ class Prover {
 
 /**
  * Compare `twz`, a File or a URL, with `tif`, a File. `onProgress` is called with the share of samples compared.
- * Return the report of `Comparison`, with { root, stated } of the heights' digests.
+ * Return the report of `Comparison`, with { root, stated } of the heights' digests. `start` returns a worker.
  */
-export async function prove({ twz, tif, band }, onProgress, signal) {
-  const provers = [new Prover()];
+export async function prove({ twz, tif, band }, onProgress, signal, start = () => new Prover()) {
+  const provers = [start()];
   const end = () => provers.forEach((prover) => prover.end(signal.reason));
   signal.addEventListener("abort", end);
   try {
-    const n = Math.min(Math.max(navigator.hardwareConcurrency ?? 2, 1), MOST_WORKERS);
+    const n = Math.min(Math.max(globalThis.navigator?.hardwareConcurrency ?? 2, 1), MOST_WORKERS);
     const question = { twz, tif, band, cacheBytes: Math.floor(CACHE / n) };
     const { file, nRows, nCols, rows, nodata, isFatal, lines, stated } = await provers[0].ask("open", question);
     if (isFatal) throw new Error(lines[0]);
     const nWorkers = rows * nCols > MANY_SAMPLES ? 1 : Math.min(n, Math.ceil(nRows / rows));
-    while (provers.length < nWorkers) provers.push(new Prover());
+    while (provers.length < nWorkers) provers.push(start());
     await Promise.all(provers.slice(1).map((prover) => prover.ask("open", question)));
 
     const comparison = new Comparison(file, nodata);

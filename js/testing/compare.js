@@ -2,9 +2,8 @@
 
 import { openAsBlob } from "node:fs";
 
-import { Comparison } from "../site/compare.js";
-import { Original } from "../site/original.js";
-import { open } from "../src/index.js";
+import { WORK } from "../site/compare-worker.js";
+import { prove } from "../site/prove.js";
 
 /** As browsers have it: geotiff.js reads Blobs by it. */
 globalThis.FileReader = class {
@@ -14,28 +13,14 @@ globalThis.FileReader = class {
   }
 };
 
-async function compared(terrain, path, band) {
-  const original = await Original.open(Object.assign(await openAsBlob(path), { name: path }), band);
-  const { isFatal, lines } = original.problems(terrain);
-  if (isFatal) return { problems: lines };
-  // Two halves, whose sums are added: workers do no more.
-  const [sum, half] = [new Comparison(terrain, original.nodata), Math.ceil(terrain.nRows / 2)];
-  for (const [row, nRows] of [[half, terrain.nRows - half], [0, half]]) {
-    if (nRows === 0) continue;
-    const window = { row, col: 0, nRows, nCols: terrain.nCols };
-    const [source, decoded] = [await original.read(window), await terrain.read(-1, window)];
-    const comparison = new Comparison(terrain, original.nodata);
-    comparison.add(window, source.heights, source.valid, decoded.heights, decoded.valid);
-    sum.merge(comparison.found);
-  }
-  const report = sum.report();
-  return { ...report, problems: [...lines, ...report.problems] };
-}
-
 const [path, band, ...originals] = process.argv.slice(2);
-const terrain = await open(await openAsBlob(path));
+const twz = await openAsBlob(path);
+const here = { ask: (what, question) => WORK[what](question), end: () => {} };
 const found = [];
 for (const original of originals) {
-  found.push(await compared(terrain, original, Number(band)).catch(({ message }) => ({ error: message })));
+  const tif = Object.assign(await openAsBlob(original), { name: original });
+  const { signal } = new AbortController();
+  found.push(await prove({ twz, tif, band: Number(band) }, () => {}, signal, () => here)
+    .catch(({ message }) => ({ error: message })));
 }
 console.log(JSON.stringify(found));

@@ -338,8 +338,10 @@ def test_the_mesh_follows_the_tolerance_and_states_its_error(page, rasters):
         )
         wait_until(page, "/triangles, at most/.test(document.getElementById('meshed').textContent)")
         numbers = re.findall(r"([\d.,]+) (?:m|triangles)", text(page, "meshed"))
-        found.append([float(number.replace(",", "")) for number in numbers])
-    n_triangles, from_samples, from_original = np.array(found).T
+        tolerance = text(page, "tolerance").removesuffix(" m")
+        found.append([float(number.replace(",", "")) for number in [*numbers, tolerance]])
+    n_triangles, from_samples, from_original, tolerance = np.array(found).T
+    assert (from_samples <= tolerance * 1.005).all()
     assert n_triangles[0] > 3 * n_triangles[1] > 9 * n_triangles[2] > 0
     assert (np.diff(from_samples) > 0).all()
     assert (from_original >= from_samples + 8).all()

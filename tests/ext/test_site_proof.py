@@ -75,6 +75,7 @@ def test_it_finds_the_errors_that_verify_finds(tmp_path, name):
     errors = expected.errors
     assert worst == (None if errors.worst_row is None else (errors.worst_row, errors.worst_col))
     assert sum(bar["n"] for bar in found["bars"]) == found["nValid"]
+    assert (found["root"], found["stated"]) == (expected.root, expected.root)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +113,29 @@ def test_it_finds_one_sample_that_is_one_step_off_wherever_it_lies(tmp_path, mak
         assert found["problems"][0].startswith("1 sample is")
         assert place in found["problems"][0]
     assert not terrainwave.verify(twz, originals[0]).ok
+
+
+def test_it_joins_bands_of_many_tiles_and_their_digests(tmp_path):
+    """Two bands of rows, three columns of tiles; a part that is void; a file that states no root."""
+    heights = hills(1030, 1100)
+    heights[500:1030, 600:] = -9999
+    heights[40, 1050] = heights[1029, 3] = -9999
+    source = write_raster(tmp_path / "a.tif", heights, BOUNDS, nodata=-9999)
+    twz = tmp_path / "a.twz"
+    terrainwave.compress(source, twz, max_error=2, digest=False)
+    (found,) = compared(twz, source)
+    expected = terrainwave.verify(twz, source)
+    assert found["problems"] == []
+    assert found["stated"] is None
+    terrainwave.compress(source, tmp_path / "stated.twz", max_error=2)
+    with terrainwave.open(tmp_path / "stated.twz") as terrain:
+        assert found["root"] == terrain.digest()
+    assert found["nValid"] == expected.errors.n_valid
+    worst = found["worst"]["row"], found["worst"]["col"]
+    assert worst == (expected.errors.worst_row, expected.errors.worst_col)
+    heights[1029, 2] += 3
+    (found,) = compared(twz, write_raster(tmp_path / "b.tif", heights, BOUNDS, nodata=-9999))
+    assert "row 1029, column 2," in found["problems"][0]
 
 
 @pytest.mark.parametrize("kind", ["alpha", "mask"])
