@@ -6,8 +6,8 @@ import { Original } from "./original.js";
 
 /** Samples on a side of a tile that has a digest (FORMAT.md §4.9). */
 const TILE = 512;
-/** Columns that are read at once: they need memory in every worker. */
-const MOST_COLS = 32 * TILE;
+/** Columns that are read at once: they need memory in every worker. A strip is decoded anew for each part of it. */
+const [MOST_COLS, MOST_OF_STRIPS] = [4 * TILE, 32 * TILE];
 let terrain = null;
 let original = null;
 
@@ -31,8 +31,9 @@ export const WORK = {
     const comparison = new Comparison(terrain, original.nodata);
     const nTileCols = Math.ceil(terrain.nCols / TILE);
     const digests = new Uint8Array(32 * Math.ceil(nRows / TILE) * nTileCols);
-    for (let col = 0; col < terrain.nCols; col += MOST_COLS) {
-      const nCols = Math.min(MOST_COLS, terrain.nCols - col);
+    const most = original.isTiled ? MOST_COLS : MOST_OF_STRIPS;
+    for (let col = 0; col < terrain.nCols; col += most) {
+      const nCols = Math.min(most, terrain.nCols - col);
       const source = await original.read({ row, col, nRows, nCols });
       for (let at = 0; at < nRows; at += TILE) {
         const part = { row: row + at, col, nRows: Math.min(TILE, nRows - at), nCols };

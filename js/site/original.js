@@ -44,6 +44,8 @@ export class Original {
 
   get nCols() { return this.#image.getWidth(); }
 
+  get isTiled() { return this.#image.isTiled; }
+
   /** Rows that are decoded together. */
   get tileRows() { return this.#image.getTileHeight(); }
 

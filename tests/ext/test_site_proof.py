@@ -116,7 +116,7 @@ def test_it_finds_one_sample_that_is_one_step_off_wherever_it_lies(tmp_path, mak
 
 
 def test_it_joins_bands_of_many_tiles_and_their_digests(tmp_path):
-    """Two bands of rows, three columns of tiles; a part that is void; a file that states no root."""
+    """Two bands of rows, three columns of tiles, a void part; a file that states no root."""
     heights = hills(1030, 1100)
     heights[500:1030, 600:] = -9999
     heights[40, 1050] = heights[1029, 3] = -9999
