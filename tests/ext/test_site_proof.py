@@ -116,11 +116,12 @@ def test_it_finds_one_sample_that_is_one_step_off_wherever_it_lies(tmp_path, mak
 
 
 def test_it_joins_bands_of_many_tiles_and_their_digests(tmp_path):
-    """Two bands of rows, three columns of tiles, a void part; a file that states no root."""
-    heights = hills(1030, 1100)
-    heights[500:1030, 600:] = -9999
-    heights[40, 1050] = heights[1029, 3] = -9999
-    source = write_raster(tmp_path / "a.tif", heights, BOUNDS, nodata=-9999)
+    """Two bands of two rows of tiles, read in two parts; a void part; a file that states no root."""
+    heights = hills(1040, 2100)
+    heights[500:1030, 600:1900] = -9999
+    heights[40, 2070] = heights[1029, 3] = -9999
+    profile = {"nodata": -9999, "tiled": True, "blockxsize": 1024, "blockysize": 1024}
+    source = write_raster(tmp_path / "a.tif", heights, BOUNDS, **profile)
     twz = tmp_path / "a.twz"
     terrainwave.compress(source, twz, max_error=2, digest=False)
     (found,) = compared(twz, source)
@@ -134,7 +135,7 @@ def test_it_joins_bands_of_many_tiles_and_their_digests(tmp_path):
     worst = found["worst"]["row"], found["worst"]["col"]
     assert worst == (expected.errors.worst_row, expected.errors.worst_col)
     heights[1029, 2] += 3
-    (found,) = compared(twz, write_raster(tmp_path / "b.tif", heights, BOUNDS, nodata=-9999))
+    (found,) = compared(twz, write_raster(tmp_path / "b.tif", heights, BOUNDS, **profile))
     assert "row 1029, column 2," in found["problems"][0]
 
 
