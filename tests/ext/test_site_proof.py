@@ -116,7 +116,7 @@ def test_it_finds_one_sample_that_is_one_step_off_wherever_it_lies(tmp_path, mak
 
 
 def test_it_joins_bands_of_many_tiles_and_their_digests(tmp_path):
-    """Two bands of two rows of tiles, read in two parts; a void part; a file that states no root."""
+    """Two bands of two rows of tiles, read in parts; a void part; a file without root."""
     heights = hills(1040, 2100)
     heights[500:1030, 600:1900] = -9999
     heights[40, 2070] = heights[1029, 3] = -9999
