@@ -16,7 +16,7 @@ function numberIn(wkt, keywords) {
 }
 
 /** Whether places are longitudes and latitudes: what the CRS says, and bounds that fit. */
-function isInDegrees({ crs, bounds: { left, right, bottom, top } }) {
+export function isInDegrees({ crs, bounds: { left, right, bottom, top } }) {
   const fits = left >= -360 && right <= 720 && right - left <= 360.001 && bottom >= -90.001 && top <= 90.001;
   const isGeographic = crs === null || /^\w+:\w+$/.test(crs) ? !/^EPSG:(2|3|[5-9]\d{4}$)/.test(crs ?? "")
     : /^(GEOGCRS|GEODCRS|GEOGCS|GEOGRAPHICCRS|BOUNDCRS\[SOURCECRS\[GEOGCRS|COMPD_?CS\["[^"]*",\s*GEOGCS|COMPOUNDCRS\["[^"]*",\s*GEOGCRS)/.test(crs);

@@ -6,6 +6,7 @@ import { storedNodata } from "./compare.js";
 const KINDS = { 1: "uint", 2: "int", 3: "float" };
 /** Of ExtraSamples: what GDAL takes for alpha. */
 const ALPHAS = [1, 2];
+const CHOOSE = "choose the raster that the file was made from";
 const IS_MASK = 4; // of NewSubfileType
 const IS_POINT = 2; // of GTRasterTypeGeoKey
 /** Of a pixel: how far corners may differ that were computed in another way. */
@@ -19,7 +20,7 @@ export class Original {
   static async open(file, band = 1) {
     const magic = new Uint8Array(await file.slice(0, 4).arrayBuffer());
     const isTiff = ["II*\0", "MM\0*", "II+\0", "MM\0+"].includes(String.fromCharCode(...magic));
-    if (!isTiff) throw new Error(`found a file that is no TIFF (${file.name}), expected the original GeoTIFF`);
+    if (!isTiff) throw new Error(`found a file that is no TIFF (${file.name}), expected a GeoTIFF: ${CHOOSE}`);
     const original = new Original();
     await readable("the GeoTIFF's header is damaged", async () => {
       const tiff = await fromBlob(file);
@@ -56,7 +57,9 @@ export class Original {
     const firstExtra = this.nBands - extra.length;
     this.bands = [band, ...extra.flatMap((kind, i) => (ALPHAS.includes(kind) && firstExtra + i !== band ? [firstExtra + i] : []))];
     this.dtype = `${KINDS[image.getSampleFormat(band)]}${image.getBitsPerSample(band)}`;
-    this.nodata = image.getGDALNoData();
+    // geotiff.js takes infinities for NaN.
+    const [, sign] = /^\s*([+-]?)inf/i.exec(image.fileDirectory.getValue("GDAL_NODATA") ?? "") ?? [];
+    this.nodata = sign === undefined ? image.getGDALNoData() : Number(`${sign}Infinity`);
     this.scale = Number(told.SCALE ?? 1);
     this.offset = Number(told.OFFSET ?? 0);
     this.transform = this.#transform();
@@ -79,17 +82,17 @@ export class Original {
   problems(terrain) {
     const shape = ({ nRows, nCols }) => `${nRows} rows x ${nCols} columns`;
     if (this.nRows !== terrain.nRows || this.nCols !== terrain.nCols) {
-      return { isFatal: true, lines: [`found a GeoTIFF of ${shape(this)}, expected ${shape(terrain)} as in the .twz file`] };
+      return { isFatal: true, lines: [`found a GeoTIFF of ${shape(this)}, expected ${shape(terrain)} as in the .twz file: ${CHOOSE}`] };
     }
     if (this.dtype !== terrain.dtype) {
-      return { isFatal: true, lines: [`found a GeoTIFF of ${this.dtype}, expected ${terrain.dtype} as in the .twz file`] };
+      return { isFatal: true, lines: [`found a GeoTIFF of ${this.dtype}, expected ${terrain.dtype} as in the .twz file: ${CHOOSE}`] };
     }
     const lines = [];
     for (const name of ["scale", "offset"]) {
       if (this[name] !== terrain[name]) lines.push(`${name} is ${terrain[name]}, the original's is ${this[name]}`);
     }
-    const [own, other] = [storedNodata(terrain.nodata, this.dtype), storedNodata(this.nodata, this.dtype)];
-    if (own !== other) lines.push(`nodata is ${terrain.nodata}, the original's is ${this.nodata}`);
+    const [own, other] = [terrain.nodata, this.nodata].map((value) => (Number.isNaN(value) ? NaN : storedNodata(value, this.dtype)));
+    if (!Object.is(own, other)) lines.push(`nodata is ${terrain.nodata}, the original's is ${this.nodata}`);
     const found = terrain.transform();
     const far = SAME_PIXEL * Math.hypot(found[0], found[3]) / Math.max(this.nRows, this.nCols);
     if (found.some((value, i) => !(Math.abs(value - this.transform[i]) <= far * (i % 3 === 2 ? Math.max(this.nRows, this.nCols) : 1)))) {

@@ -6,7 +6,7 @@ import { add, map, show, source, started, state, terrains } from "../../static/p
 import { withUnit } from "../../static/colours.js";
 import { Places } from "../map/places.js";
 import { open } from "../src/index.js";
-import { describe, factsOf } from "./described.js";
+import { describe, factsOf, isInDegrees } from "./described.js";
 import { geoTiff, png } from "./files.js";
 import { SIDE, mesher } from "./mesh.js";
 import { prove } from "./prove.js";
@@ -80,9 +80,9 @@ function nameFor(name) {
 /** Open a .twz file, and prove it by the GeoTIFF that comes with it. */
 function take(files) {
   const isRaster = ({ name }) => /\.tiff?$/i.test(name);
-  const [twz, original] = [[...files].find((file) => !isRaster(file)), [...files].find(isRaster)];
+  const original = [...files].find(isRaster);
   return saying("said", async () => {
-    if (twz) await openTerrain(twz, twz.name);
+    for (const twz of files) if (!isRaster(twz)) await openTerrain(twz, twz.name);
     if (!original) return;
     const moved = new DataTransfer();
     moved.items.add(original);
@@ -198,8 +198,7 @@ async function save() {
   }
   const found = await terrain.read(level, window);
   const format = element("format").value;
-  const isPlane = state.terrain.plane !== undefined || !/^EPSG:4\d{3}$/.test(terrain.crs ?? "");
-  const parts = format === "tif" ? geoTiff(terrain, found, !isPlane) : await png(terrain, found);
+  const parts = format === "tif" ? geoTiff(terrain, found, isInDegrees(terrain)) : await png(terrain, found);
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob(parts));
   link.download = `${name}.${format}`;

@@ -224,7 +224,7 @@ def test_a_changed_sample_another_raster_and_other_files_are_told_in_words(page,
     unfold(page, "proving")
     for name, expected in {
         "bare.tif": "found a GeoTIFF of 129 rows x 161 columns, expected 300 rows x 341 columns",
-        "bare.twz": "found a file that is no TIFF (bare.twz), expected the original GeoTIFF",
+        "bare.twz": "found a file that is no TIFF (bare.twz), expected a GeoTIFF: choose",
     }.items():
         page.find_element("id", "original").send_keys(str(rasters / name))
         page.find_element("id", "prove").click()

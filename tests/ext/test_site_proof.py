@@ -40,6 +40,12 @@ def floats(step=0.01):
     return (hills(90, 120) + step * rng.integers(-50, 50, (90, 120))).astype(np.float32)
 
 
+def infinite():
+    heights = floats()
+    heights[7, 5:60] = -np.inf
+    return heights
+
+
 RASTERS = {
     "whole metres": (lambda: hills(90, 120), 3, {}),
     "lossless": (lambda: hills(90, 120), 0, {}),
@@ -50,6 +56,7 @@ RASTERS = {
     "hundredths, lossless": (floats, 0, {}),
     "off any grid": (lambda: floats(0.0101010101), 0.03, {"nodata": -9999}),
     "doubles": (lambda: floats().astype(np.float64), 0.5, {"nodata": float("nan")}),
+    "infinite nodata": (infinite, 0.1, {"nodata": float("-inf")}),
     "strips of 7 rows": (lambda: hills(90, 120), 1, {"blockysize": 7, "tiled": False}),
     "LZW, big-endian": (lambda: hills(90, 120), 1, {"compress": "lzw", "ENDIANNESS": "BIG"}),
     "tiles, predictor 3": (
@@ -181,6 +188,7 @@ def test_what_differs_is_one_clear_line(tmp_path):
         write_raster(tmp_path / "d.tif", lake(hills(90, 120)), BOUNDS): "void in one of the two",
         write_raster(tmp_path / "e.tif", lake(hills(90, 120)), (7.9, 46, 8.4, 46.4), nodata=-9999):
             "the transform is",
+        write_raster(tmp_path / "f.tif", lake(hills(90, 120)), BOUNDS, nodata=-1): "nodata is",
         tmp_path / "text.tif": "found a file that is no TIFF",
         tmp_path / "cut.tif": "the GeoTIFF's header is damaged",
         damaged: "of the GeoTIFF cannot be read",
