@@ -440,3 +440,25 @@ def test_all_can_be_reached_by_keys_and_has_a_name(page):
     sample.send_keys(Keys.ENTER)
     shown(page, "jacksboro")
     assert sample.get_attribute("aria-pressed") == "true"
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.firefox
+def test_firefox_opens_and_proves_too(site, rasters):
+    from ext.firefox import firefox
+
+    with (
+        static_server(site, headers={"Content-Security-Policy": POLICY}) as server,
+        firefox() as driver,
+    ):
+        driver.get(server.address)
+        begin(driver)
+        driver.give("file", rasters / "hills.twz", rasters / "hills.tif")
+        shown(driver, "hills")
+        assert "all 100,800 samples are within 8 m" in proved(driver)
+        expected = terrainwave.verify(rasters / "hills.twz", rasters / "hills.tif")
+        assert f"{expected.root}Root that the file statesthe same" in text(driver, "proof")
+        assert driver.screenshot()[200:, 350:].astype(float).mean(axis=2).std() > 5
+        assert not driver.log
