@@ -2,7 +2,7 @@
  * The page of `terrainwave site`: that of a published folder, which also takes files of its visitor. What it needs
  * lies in the folder: it works offline and under a strict Content-Security-Policy.
  */
-import { add, map, show, source, started, state, terrains } from "../../static/page.js";
+import { add, list, map, show, source, started, state, terrains } from "../../static/page.js";
 import { withUnit } from "../../static/colours.js";
 import { Places } from "../map/places.js";
 import { open } from "../src/index.js";
@@ -38,15 +38,6 @@ async function saying(id, work) {
     if (error.name !== "AbortError") say(id, error.message, true);
     return undefined;
   }
-}
-
-function list(id, entries) {
-  element(id).replaceChildren(...entries.flatMap(([name, text]) => {
-    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    told.textContent = text;
-    return [term, told];
-  }));
 }
 
 // Open.
@@ -113,8 +104,9 @@ async function shown({ detail: described }) {
     list("info", factsOf(terrain, root));
     element("level").replaceChildren(...Array.from({ length: terrain.nLevels }, (_, k) => {
       const { nRows, nCols } = terrain.shape(k);
-      return new Option(`${k}: ${nRows} × ${nCols}`, k, k === terrain.nLevels - 1, k === terrain.nLevels - 1);
+      return new Option(`${k}: ${nRows} × ${nCols}`, k);
     }));
+    element("level").value = terrain.nLevels - 1;
   });
 }
 

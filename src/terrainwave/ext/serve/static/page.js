@@ -170,6 +170,16 @@ function home(terrain) {
 
 // The panel. Texts of files are untrusted: they are set as text, never as HTML.
 
+/** Show [name, text], … in a list of descriptions. */
+export function list(id, entries) {
+  element(id).replaceChildren(...entries.flatMap(([name, text]) => {
+    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
+    term.textContent = name;
+    told.textContent = text;
+    return [term, told];
+  }));
+}
+
 function describe(terrain) {
   const error = Number(terrain.error.toPrecision(3));
   const strong = document.createElement("strong");
@@ -180,12 +190,7 @@ function describe(terrain) {
     strong,
     " of the original.",
   );
-  element("tags").replaceChildren(...Object.entries(terrain.origin).flatMap(([name, text]) => {
-    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    told.textContent = text;
-    return [term, told];
-  }));
+  list("tags", Object.entries(terrain.origin));
   element("origin").hidden = !Object.keys(terrain.origin).length;
   element("addresses").replaceChildren(
     copyable("This view", location.href),
