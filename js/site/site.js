@@ -275,7 +275,7 @@ async function startProof() {
 async function showProof(terrain, described, { nValid, maxError, rmse, worst, bars, problems, stated, root }) {
   const inUnits = (number) => withUnit(Number(number.toPrecision(4)), { units: terrain.units });
   say("proved", problems.length
-    ? "Not proved: this file is not within its bound of this original."
+    ? "Not proved. Found:"
     : `Proved: all ${nValid.toLocaleString("en")} samples are within ${inUnits(terrain.effectiveBound)} of the original.`, problems.length > 0);
   element("problems").replaceChildren(...problems.map((problem) =>
     Object.assign(document.createElement("li"), { textContent: problem })));
