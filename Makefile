@@ -22,7 +22,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy native native-arm native-aarch64 native-arm32 native-gcc native-clang native-installed native-agrees native-verdicts native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb capsule-check amalgamation lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native system-arm system-nginx system-caddy system-firefox native native-arm native-aarch64 native-arm32 native-gcc native-clang native-installed native-agrees native-verdicts native-compared native-sanitized native-fuzz native-driver native-gdal native-gdals native-deb capsule-check amalgamation lint test-compiled test-full test-bounds test-python coverage docs bench long fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -115,6 +115,10 @@ system-native:
 system-nginx system-caddy: system-%:
 	@sh tools/install_system.sh $*
 
+# A second browser for the page of the site.
+system-firefox:
+	@sh tools/install_system.sh firefox
+
 system-arm:
 	@sh tools/install_system.sh arm
 
@@ -148,7 +152,7 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
-test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy tests/ext/node_modules/.installed
+test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy system-firefox tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 # Less optimised: compiled in three quarters of the time, and the bounds are the same.

@@ -75,6 +75,8 @@ export class Terrain {
   readonly nRows: number;
   readonly nCols: number;
   readonly nLevels: number;
+  /** Bytes of the file. */
+  readonly fileSize: number;
   /** Cells per side of a block. */
   readonly blockSize: number;
   readonly dtype: DtypeName;
@@ -82,6 +84,12 @@ export class Terrain {
   /** The bound asked for and the one that holds at valid samples of the full grid, physical units. */
   readonly maxError: number;
   readonly effectiveBound: number;
+  /** Least and greatest valid raw height of the original, within rounding to quanta (rawRho) and the bound. */
+  readonly rawMin: number;
+  readonly rawMax: number;
+  readonly rawRho: number;
+  /** Side of the original on which physical heights lie: 1 above, -1 below, 0 both. */
+  readonly boundSide: -1 | 0 | 1;
   /** All of FORMAT.md §4.2 that the file tells. */
   readonly metadata: Readonly<Record<string, unknown>>;
   readonly crs: string | null;
@@ -103,6 +111,12 @@ export class Terrain {
   sample(x: number, y: number, options?: { level?: number } & ReadOptions): Promise<number>;
   /** The stored error of a block's surface, in physical units. */
   blockError(level: number, row: number, col: number): Promise<number>;
+  /** Root of the file's digests as it states it, 64 hexadecimal digits; null without digests. */
+  statedRoot(): Promise<string | null>;
+  /** Digest of a tile of 512 x 512 samples of the full grid, fewer at the last ones: 32 bytes. */
+  digest(tile: Shape & { heights: Heights; valid: Uint8Array }): Promise<Uint8Array>;
+  /** Root of all heights, by the digests of all tiles, row by row: as `statedRoot`, if nothing is damaged. */
+  rootOf(digests: Uint8Array): Promise<string>;
   /** Rows and columns of blocks. */
   blockShape(level?: number): Shape;
   /** Give memory back, and end the workers; reads are refused from now on. */

@@ -140,6 +140,7 @@ def pytest_collection_modifyitems(config, items):
     missing = {
         "gl": bool(_why_no_gl()),
         "qgis": _lacks_qgis(),
+        "firefox": shutil.which("firefox-esr") is None,  # Ubuntu has no such package
         "gdal": _lacks_gdal(),
         "native": _lacks_compilers() and not is_built(),
     }

@@ -100,6 +100,7 @@ COMMANDS = {
     "render": ("view", ["render", "TWZ", "a.png"]),
     "serve": ("serve", ["serve", "TWZ"]),
     "publish": ("publish", ["publish", "TWZ", "site"]),
+    "site": ("publish", ["site", "page"]),
     "archive": ("pmtiles", ["tiles", "TWZ", "a.pmtiles"]),
     "tiles": ("mesh", ["tiles", "TWZ", "tiles"]),
     "mesh of metres": ("mesh", ["mesh", "TWZ", "a.stl"]),
@@ -171,7 +172,16 @@ def test_each_command_names_the_extra_that_has_all_it_needs(tmp_path, hidden):
     said = {name for name, (_, lines, _) in found.items() if "pip install" in " ".join(lines)}
     expected = {
         "all": set(COMMANDS),
-        "pyproj": {"view", "render", "serve", "publish", "archive", "tiles", "mesh of degrees"},
+        "pyproj": {
+            "view",
+            "render",
+            "serve",
+            "publish",
+            "site",
+            "archive",
+            "tiles",
+            "mesh of degrees",
+        },
         "PIL": {"serve", "archive"},
     }
     assert said >= expected[hidden]

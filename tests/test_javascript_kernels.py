@@ -41,6 +41,7 @@ def test_the_module_was_made_of_these_sources():
     groups = [
         [WASM / "build.sh", WASM / "pack.py"],
         WASM.glob("*.c"),
+        WASM.glob("*.h"),
         (WASM / "include").glob("*.h"),
         (native / "include").glob("*.h"),
         (native / "src").glob("*.c"),

@@ -119,6 +119,8 @@ def test_the_bill_of_materials_names_artifacts_and_packages(tmp_path):
     (digest,) = parts["a.whl"]["hashes"]
     assert digest["content"] == hashlib.sha256(b"a wheel").hexdigest()
     assert parts["maplibre-gl"]["purl"].startswith("pkg:npm/maplibre-gl@")
+    assert parts["geotiff"]["purl"] == "pkg:npm/geotiff@3.0.5"
+    assert parts["@mapbox/martini"]["purl"] == "pkg:npm/%40mapbox/martini@0.2.0"
     project = tomllib.loads(text_of("pyproject.toml"))["project"]
     assert {Requirement(text).name for text in project["dependencies"]} <= set(parts)
     assert "pytest" not in parts

@@ -5,7 +5,7 @@
 # tests of the plugin, and what builds and tests GDAL's driver; with the argument `native` instead of
 # all these what builds and tests the native library, and that driver: cmake, gcc, clang with its
 # sanitizers and libFuzzer, clang 14 with lld for WebAssembly, GDAL; with `arm` what builds the library for ARM of 64 and 32 bits, and
-# runs it: Debian's cross compilers and qemu; with `nginx` or `caddy` that server, unpacked into build/ only: an
+# runs it: Debian's cross compilers and qemu; with `firefox` Debian's Firefox; with `nginx` or `caddy` that server, unpacked into build/ only: an
 # installed one would start and listen. Installed where this is Debian or Ubuntu and apt-get may run;
 # elsewhere one line says what is missing, and the tests that need it fail.
 set -eu
@@ -31,6 +31,11 @@ arm)
     packages="cmake make qemu-user gcc-aarch64-linux-gnu libc6-dev-arm64-cross gcc-arm-linux-gnueabihf libc6-dev-armhf-cross"
     needs="the native library for ARM needs cross compilers and an emulator"
     elsewhere="cmake, make, gcc and C libraries for aarch64-linux-gnu and arm-linux-gnueabihf, qemu-user"
+    ;;
+firefox)
+    packages="firefox-esr"
+    needs="a test of pages needs Firefox"
+    elsewhere="firefox-esr"
     ;;
 nginx | caddy)
     packages="$1"
@@ -85,6 +90,7 @@ has_arm() {
 case "${1:-}" in
 native) has_compilers && has_gdal && exit 0 ;;
 arm) has_arm && exit 0 ;;
+firefox) command -v firefox-esr >/dev/null && exit 0 ;;
 nginx) [ -x /usr/sbin/nginx ] || [ -x build/nginx/usr/sbin/nginx ] && exit 0 ;;
 caddy) [ -x /usr/bin/caddy ] || [ -x build/caddy/usr/bin/caddy ] && exit 0 ;;
 *) is_complete && exit 0 ;;

@@ -1,9 +1,9 @@
 """The parts of a release as CycloneDX: python tools/make_sbom.py SBOM.json ARTIFACT ...
 
 Names what is published (sdist, wheels, npm package, .deb) with checksums, the packages that pip
-installs with it, required and by extra, and what is inside of it that others wrote: MapLibre GL JS.
-The native library is ours and links with the C library alone. The document is checked by
-CycloneDX's own schema; equal artifacts give equal bytes.
+installs with it, required and by extra, and what is inside of it that others
+wrote: libraries of pages. The native library is ours and links with the C library alone. The
+document is checked by CycloneDX's own schema; equal artifacts give equal bytes.
 """
 
 import hashlib
@@ -25,7 +25,16 @@ from packageurl import PackageURL
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
-MAPLIBRE = ROOT / "src" / "terrainwave" / "ext" / "serve" / "static" / "maplibre"
+# Libraries of pages: npm's name, the file, its licence. The file states its version first.
+PAGE_LIBRARIES = (
+    (
+        "maplibre-gl",
+        "src/terrainwave/ext/serve/static/maplibre/maplibre-gl.js",
+        DisjunctiveLicense(id="BSD-3-Clause"),
+    ),
+    ("geotiff", "js/site/geotiff/geotiff.js", DisjunctiveLicense(id="MIT")),
+    ("@mapbox/martini", "js/site/martini/martini.js", DisjunctiveLicense(id="ISC")),
+)
 # What developers install.
 NOT_FOR_USERS = {"bench", "fuzz", "release", "docs", "dev"}
 
@@ -65,15 +74,16 @@ def make_bom(artifacts):
         Component(name=path.name, type=ComponentType.FILE, bom_ref=path.name, hashes=[hashed(path)])
         for path in artifacts
     ]
-    script = MAPLIBRE / "maplibre-gl.js"
-    maplibre = version_of(script)
-    parts.append(
-        Component(
-            name="maplibre-gl", version=maplibre, type=ComponentType.LIBRARY, bom_ref="maplibre-gl",
-            purl=PackageURL("npm", None, "maplibre-gl", maplibre), hashes=[hashed(script)],
-            licenses=[DisjunctiveLicense(id="BSD-3-Clause")],
-        )
-    )  # fmt: skip
+    for npm, path, licence in PAGE_LIBRARIES:
+        version = version_of(ROOT / path)
+        space, _, name = npm.rpartition("/")
+        parts.append(
+            Component(
+                name=npm, version=version, type=ComponentType.LIBRARY, bom_ref=npm,
+                purl=PackageURL("npm", space or None, name, version),
+                hashes=[hashed(ROOT / path)], licenses=[licence],
+            )
+        )  # fmt: skip
     for requirement, extra in requirements(project):
         if requirement.name == project["name"]:
             continue

@@ -17,7 +17,7 @@ import "./surfaces.js";
 import { open } from "../src/index.js";
 import { Mailbox } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
-import { heightmap } from "./heightmap.js";
+import { heightmap, sampledGrid } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
 import { TILE_SIZE, rgbPixels, rgbTile, voidPixels, voidsOf } from "./terrain-rgb.js";
 
@@ -100,6 +100,15 @@ const WORK = {
   },
   async mesh(globe, _key, z, x, y, size) {
     return gridMesh(globe, z, x, y, size);
+  },
+  /** n x n heights of a part of the map, [west, south, east, north], and their errors as `heightmap` has them. */
+  async surface(globe, _key, [west, south, east, north], n) {
+    const share = Array.from({ length: 2 * n - 1 }, (_, i) => i / (2 * n - 2));
+    const spacing = ((north - south) / (n - 1) / 180) * Math.PI * globe.axis;
+    const { known, error, terrainError } = await sampledGrid(
+      globe, share.map((at) => west + at * (east - west)), share.map((at) => north - at * (north - south)), n, spacing,
+    );
+    return { known, error, terrainError };
   },
   async height(globe, _key, lon, lat) {
     const { heights } = await globe.heightsAt(globe.places.toSamples([lon], [lat]), globe.kMax);

@@ -144,10 +144,19 @@ export class Core {
   }
 
   #feed(whom, start, bytes) {
-    const at = this.#call("room_for", bytes.length);
-    if (at === 0) throw new LimitExceededError(`no memory for ${bytes.length} bytes of the file`);
-    this.#view(Uint8Array, at, bytes.length).set(bytes);
+    this.#give(bytes);
     this.#do(`feed_${whom}`, start, bytes.length);
+  }
+
+  /** Copy bytes into the memory, one after another. */
+  #give(...parts) {
+    const n = parts.reduce((sum, { byteLength }) => sum + byteLength, 0);
+    let at = this.#call("room_for", n);
+    if (at === 0) throw new LimitExceededError(`no memory for ${n} bytes`);
+    for (const { buffer, byteOffset, byteLength } of parts) {
+      this.#view(Uint8Array, at, byteLength).set(new Uint8Array(buffer, byteOffset, byteLength));
+      at += byteLength;
+    }
   }
 
   /** Return what is missing to open the file: nothing, and `describe` may be called. */
@@ -159,10 +168,10 @@ export class Core {
   describe() {
     this.#call("describe");
     const [nRows, nCols, nLevels, blockSize, dtype, , method, features, maxError, effectiveBound, hasNodata, nodata,
-      text, length] = this.#told(14);
+      text, length, rawMin, rawMax, rawRho, boundSide] = this.#told(18);
     this.#array = ARRAYS[DTYPES[dtype]];
     return {
-      nRows, nCols, nLevels, blockSize, features, maxError, effectiveBound,
+      nRows, nCols, nLevels, blockSize, features, maxError, effectiveBound, rawMin, rawMax, rawRho, boundSide,
       dtype: DTYPES[dtype], method: METHODS[method],
       nodata: hasNodata ? nodata : null,
       metadata: new TextDecoder().decode(this.#view(Uint8Array, text, length)),
@@ -204,6 +213,39 @@ export class Core {
         if (missing) return { missing: missing.filter(({ isPage }) => isPage) };
       }
     });
+  }
+
+  /** Return the digest of a tile of heights and their validity (FORMAT.md §4.9). */
+  digest({ heights, valid, nRows, nCols }) {
+    this.#give(heights, valid);
+    this.#call("digest_given", nRows, nCols);
+    return this.#view(Uint8Array, this.#call("digest_at"), 32).slice();
+  }
+
+  /** Return the root of the digests of all tiles, row by row. */
+  rootOf(digests) {
+    this.#give(digests);
+    this.#do("root_of_given", digests.length);
+    return this.#root();
+  }
+
+  /** Return { missing }, or { found }: the root that the file states, null without digests. */
+  statedRoot(_, held) {
+    let n = this.#call("digests_need");
+    if (n === 0) return { found: null };
+    for (const next of ["top_need", "root_of_top_given"]) {
+      if (n < 0) throw this.#refusal(-n);
+      const [start, length] = this.#told(2);
+      const { missing, bytes } = find(held, start, start + length);
+      if (!bytes) return { missing: [{ start: missing, end: start + length, isPage: false }] };
+      this.#give(bytes);
+      n = this.#call(next);
+    }
+    return { found: this.#root() };
+  }
+
+  #root() {
+    return new TextDecoder().decode(this.#view(Uint8Array, this.#call("root_at"), 64));
   }
 
   #withWindow(place, use) {

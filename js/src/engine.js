@@ -92,4 +92,14 @@ export class Engine {
   blockError(place, fetch) {
     return this.#ask("blockError", place, fetch);
   }
+
+  /** Return the root that the file states, or null. */
+  statedRoot(fetch) {
+    return this.#ask("statedRoot", null, fetch);
+  }
+
+  /** Return a digest of what is decoded: `what` is digest or rootOf of the decoder. */
+  async digested(what, of, fetch) {
+    return (await this.#opened(fetch)).core[what](of);
+  }
 }

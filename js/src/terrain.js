@@ -77,7 +77,7 @@ export class Terrain {
     const metadata = Object.fromEntries(all); // defines "__proto__" as a key like any other
     const { crs = null, units = null, scale = 1, offset = 0 } = metadata;
     const heightsAre = KINDS.includes(metadata.heights_are) ? metadata.heights_are : null;
-    Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre });
+    Object.assign(this, about, { metadata, crs, units, scale, offset, heightsAre, fileSize: given.file.size });
     this.hasVoids = (features & HAS_VOIDS) !== 0;
     this.#given = given;
     Object.freeze(this);
@@ -292,6 +292,24 @@ export class Terrain {
     }
     const { engine, fetch } = this.#given;
     return (await engine.blockError(place, fetch)) * Math.abs(this.scale);
+  }
+
+  /** Return the root of the file's digests as it states it, which nothing is compared with; null without digests. */
+  async statedRoot() {
+    const { engine, fetch } = this.#given;
+    return engine.statedRoot(fetch);
+  }
+
+  /** Return the digest of a tile, { heights, valid, nRows, nCols }: 512 x 512 samples, fewer at the last ones. */
+  async digest(tile) {
+    const { engine, fetch } = this.#given;
+    return engine.digested("digest", tile, fetch);
+  }
+
+  /** Return the root of all heights by the digests of all tiles, row by row, in one Uint8Array. */
+  async rootOf(digests) {
+    const { engine, fetch } = this.#given;
+    return engine.digested("rootOf", digests, fetch);
   }
 
   /** Return { nRows, nCols } of the blocks of a level. */

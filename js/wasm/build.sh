@@ -23,6 +23,7 @@ compile libc.c -Oz -fno-builtin
 compile host.c -Oz
 fast="-O2 -fno-unroll-loops -mllvm -inline-threshold=10"
 for name in kernels_baseline predictive heights mask; do compile "../../native/src/$name.c" $fast; done
+compile root.c $fast
 compile ../../native/src/cdf97.c $fast -fno-vectorize
 for name in border bytes cdf53 file header inflate json kernels metadata payload rapid segment store window; do
     compile "../../native/src/$name.c" -Oz
@@ -38,7 +39,7 @@ compile "$work/tables.c" -Oz
     -fvisibility=hidden -Wall -Wextra -Werror -Oz -o "$work/unpack.o" -c unpack.c
 "${CLANG:-clang-14}" --target=wasm32 -nostdlib -Wl,--no-entry,--strip-all,-z,stack-size=4096 \
     -o "$work/unpack.wasm" "$work/unpack.o"
-digest=$(cat build.sh pack.py ./*.c include/*.h ../../native/include/*.h ../../native/src/*.c ../../native/src/*.h |
+digest=$(cat build.sh pack.py ./*.c ./*.h include/*.h ../../native/include/*.h ../../native/src/*.c ../../native/src/*.h |
     sha256sum | cut -c 1-64)
 "${PYTHON:-python3}" pack.py module "$work/core.wasm" "$work/unpack.wasm" "$digest" "$work/core-data.js"
 mv "$work/core-data.js" "$out"

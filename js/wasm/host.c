@@ -6,6 +6,7 @@
 #include <stdlib.h>
 
 #include "internal.h"
+#include "root.h"
 
 #define EXPORT(name) __attribute__((export_name(#name)))
 
@@ -75,12 +76,14 @@ EXPORT(file_need) int file_need(void) {
 EXPORT(feed_file) int feed_file(double offset, size_t n) { return twz_file_feed(file, (uint64_t)offset, given, n, &error); }
 
 /* Tell rows, columns, levels, block size, dtype, bytes of it, method, features, max_error, effective_bound, whether there is
- * nodata and which, where the metadata are and their length. */
+ * nodata and which, where the metadata are and their length, least and greatest raw height, how far rounding to quanta moved them,
+ * and the side of the bound. */
 EXPORT(describe) void describe(void) {
   const twz_info *i = twz_file_info(file);
   const double all[] = {i->n_rows, i->n_cols, i->n_levels, i->block_size, i->dtype, (double)i->dtype_bytes,
                         i->method, i->features, i->max_error, i->effective_bound, i->has_nodata, i->nodata,
-                        (double)(uintptr_t)i->metadata, (double)i->metadata_length};
+                        (double)(uintptr_t)i->metadata, (double)i->metadata_length, i->raw_min, i->raw_max, i->raw_rho,
+                        i->bound_side};
   memcpy(told, all, sizeof all);
 }
 
@@ -167,3 +170,34 @@ EXPORT(block_error) int block_error(uint32_t row, uint32_t col) {
   told[0] = (double)block.error * (double)file->header.quantum_num / (double)file->header.quantum_den;
   return TWZ_OK;
 }
+
+/* ---- Digests ---- */
+
+static uint8_t digest[DIGEST_SIZE];
+static char root[TWZ_ROOT_SIZE];
+
+EXPORT(digest_at) const uint8_t *digest_at(void) { return digest; }
+EXPORT(root_at) const char *root_at(void) { return root; }
+
+/* Digest what was given: heights of the file's dtype, at most 512 x 512, and their validity behind them. */
+EXPORT(digest_given) void digest_given(uint32_t n_rows, uint32_t n_cols) {
+  size_t n = (size_t)n_rows * n_cols;
+  root_tile(file->header.dtype, given, given + n * twz_file_info(file)->dtype_bytes, n_rows, n_cols, digest);
+}
+
+/* Make the root of n bytes that were given: digests of all tiles of 512 x 512, row by row. */
+EXPORT(root_of_given) int root_of_given(size_t n) { return root_of_tiles(file, given, n, root, &error); }
+
+/* Tell whether the file states digests, and where their tail lies. */
+EXPORT(digests_need) int digests_need(void) {
+  ranges[0].offset = file->file_size - LEAST_DIGESTS;
+  ranges[0].length = LEAST_DIGESTS;
+  ranges[0].is_page = 0;
+  return file->grid.has_digests ? ranges_told(TWZ_OK, 1) : 0;
+}
+
+/* Tell where the top digest lies, by the tail that was given. */
+EXPORT(top_need) int top_need(void) { return ranges_told(root_place(file, given, ranges, &error), 1); }
+
+/* Make the root of the top digest that was given. */
+EXPORT(root_of_top_given) void root_of_top_given(void) { root_stated(file, given, root); }

@@ -74,6 +74,7 @@ COMMANDS = [
     ["info", "dem.twz", "--json"],
     ["verify", "dem.twz", "dem.tif"],
     ["publish", "dem.twz", "site"],
+    ["site", "page"],
     ["tiles", "dem.twz", "tiles"],
 ]
 

@@ -59,7 +59,7 @@ def contents(directory):
         ["mesh", "dem.twz", "b.twz", "--store", "--original", ""],
         ["tiles", "", "out"], ["tiles", "dem.twz", ""], ["publish", "", "out"],
         ["publish", "dem.twz", ""], ["render", "", "a.png"], ["render", "dem.twz", ""],
-        ["warmup", "--to", ""], ["demo", ""],
+        ["site", ""], ["warmup", "--to", ""], ["demo", ""],
     ],
     ids=" ".join,
 )  # fmt: skip

@@ -1,7 +1,8 @@
-"""A folder for static web servers: the page of `serve`, .twz files, and the JavaScript reader.
+"""Folders for static web servers: the page of `serve`, .twz files, and the JavaScript reader.
 
 The server computes nothing: the page reads a file by byte ranges and makes its tiles in the
-browser. Data that need PROJ are computed here and written to terrains.json.
+browser. Data that need PROJ are computed here and written to terrains.json. The folder of `site`
+has samples, and a page that also takes the files of its visitors.
 """
 
 import json
@@ -34,7 +35,17 @@ _STATIC = Path(__file__).parent / "serve" / "static"
 # The reader's folders in js/ of the repository; an installed package has a copy.
 _READER = ("src", "map")
 _PART = 8 << 20
-_END_OF_HEAD = "</head>"
+_END_OF_HEAD, _SELECTION, _DESCRIPTION = "</head>", '<select id="terrain"', '<p id="about"></p>'
+# The part of js/ with the site's page, whose file of controls has two parts.
+_SITE, _BETWEEN = "site", "<!-- below the description -->"
+# Pictures in style sheets are data; visitors may name a file on another server.
+_SITE_POLICY = (
+    "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
+    " style-src 'self'; img-src 'self' data: blob:; connect-src 'self' http: https: data:;"
+    " object-src 'none'; base-uri 'none'; form-action 'none'"
+)
+# Readable with and without red-green blindness.
+_SITE_RAMP = "cividis"
 _IMPORT = re.compile(r'^(?:import|export)\b[^;"]* from "(\.[^"]+)";', re.MULTILINE)
 
 
@@ -93,6 +104,57 @@ def publish_site(
     """
     tiling.encoding_of(encoding)
     SEA_LEVEL.checked("sea_level", sea_level)
+    return _publish(
+        paths, directory, radius=radius, encoding=encoding, sea_level=sea_level,
+        overwrite=overwrite, progress=progress,
+    )  # fmt: skip
+
+
+@with_extra("publish")
+def write_site(
+    directory: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> list[PublishedTerrain]:
+    """Write a folder with a page that shows and proves the .twz files of its visitors.
+
+    The folder is that of `publish_site` with three samples. The page opens files that are dropped
+    on it or named by a URL, and compares them with their original GeoTIFFs.
+
+    Parameters
+    ----------
+    directory : path
+        As in `publish_site`.
+    overwrite : bool
+        Replace an existing folder of this kind.
+
+    Returns
+    -------
+    list of PublishedTerrain
+        The samples.
+
+    Raises
+    ------
+    StorageError
+        If something cannot be read or written.
+    """
+    samples = sorted((reader_directory() / _SITE / "samples").glob("*.twz"))
+    paths = [str(path) for path in samples]
+    return _publish(paths, directory, is_site=True, overwrite=overwrite, progress=progress)
+
+
+def _publish(
+    paths: list[str],
+    directory: str | os.PathLike[str],
+    *,
+    is_site: bool = False,
+    radius: float | None = None,
+    encoding: str = tiling.MAPBOX,
+    sea_level: str | float = AUTO,
+    overwrite: bool,
+    progress: ProgressCallback | None,
+) -> list[PublishedTerrain]:
     with (
         ExitStack() as opened,
         publish_directory(directory, LIST, overwrite) as new,
@@ -101,11 +163,11 @@ def publish_site(
         found = {name: _opened(opened, path, radius) for name, path in layer_names(paths).items()}
         total = sum(globe.terrain.container.source.size for globe, _ in found.values())
         reporter, n_done = Reporter(progress), 0
-        _write_page(new)
+        _write_page(new, is_site=is_site)
         descriptions, published = [], []
         for name, (globe, places) in found.items():
             if note := tiling.note_on_range(globe, encoding):
-                warnings.warn(TerrainwaveWarning(f"{name}: {note}"), stacklevel=2)
+                warnings.warn(TerrainwaveWarning(f"{name}: {note}"), stacklevel=3)
             source, file = globe.terrain.container.source, f"{name}.twz"
             with (new / file).open("wb") as copy:
                 for start in range(0, source.size, _PART):
@@ -113,9 +175,10 @@ def publish_site(
                     reporter.report("copying", n_done + start, total)
             n_done += source.size
             placed = places.as_json(globe)
-            descriptions.append(
-                describe(name, globe, encoding, sea_level) | {"file": file, "placed": placed}
-            )
+            described = describe(name, globe, encoding, sea_level)
+            if is_site:
+                described["ramp"] = _SITE_RAMP
+            descriptions.append(described | {"file": file, "placed": placed})
             _log.info("%s: %d bytes", file, source.size)
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
@@ -133,25 +196,38 @@ def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, 
         raise type(error)(f"{path}: {error}") from error
 
 
-def _write_page(new: Path) -> None:
+def _write_page(new: Path, *, is_site: bool) -> None:
     _copy_tree(_STATIC, new / "static")
     (new / "static" / "index.html").unlink()
     reader, copy = reader_directory(), new / "terrainwave"
-    for name in _READER:
-        _copy_tree(reader / name, copy / name, ignored=".d.ts")
+    for name in (*_READER, _SITE) if is_site else _READER:
+        _copy_tree(reader / name, copy / name, ignored=(".d.ts", ".twz", ".md"))
     shutil.copyfile(reader / "LICENSE", copy / "LICENSE")
     text = (_STATIC / "index.html").read_text(encoding="utf-8")
-    (new / "index.html").write_text(text.replace(_END_OF_HEAD, _early(new)), encoding="utf-8")
+    text = text.replace(_END_OF_HEAD, _early(new, is_site=is_site))
+    if is_site:
+        above, below = (copy / _SITE / "site.html").read_text(encoding="utf-8").split(_BETWEEN)
+        text = text.replace(_SELECTION, above + _SELECTION)
+        text = text.replace(_DESCRIPTION, _DESCRIPTION + below)
+    (new / "index.html").write_text(text, encoding="utf-8")
 
 
-def _early(new: Path) -> str:
+def _early(new: Path, *, is_site: bool) -> str:
     """Return the end of the head of a published folder's page.
 
     Browsers then request all modules at once, not each when another one imports it, and the worker
     starts while MapLibre is loading.
     """
     modules = [*_modules(new / "static" / "published.js"), *_modules(new / "static" / "page.js")]
+    site = new / "terrainwave" / _SITE
+    modules += _modules(site / "site.js") if is_site else []
+    of_site = [
+        f'<meta http-equiv="Content-Security-Policy" content="{_SITE_POLICY}" />',
+        f'<link rel="stylesheet" href="terrainwave/{_SITE}/site.css" />',
+        f'<script type="module" src="terrainwave/{_SITE}/site.js"></script>',
+    ]
     lines = [
+        *(of_site if is_site else []),
         f'<link rel="preload" as="fetch" crossorigin href="{LIST}" />',
         *(
             f'<link rel="modulepreload" href="{module.relative_to(new).as_posix()}" />'
@@ -170,7 +246,7 @@ def _modules(module: Path) -> list[Path]:
     return found
 
 
-def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:
+def _copy_tree(source: Path, target: Path, ignored: tuple[str, ...] = ()) -> None:
     """Copy the contents of a folder, with the modes of new files: the package's may be read-only.
 
     Files whose names end in `ignored` are left out.
@@ -179,7 +255,7 @@ def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:
     for path in sorted(source.iterdir()):
         if path.is_dir():
             _copy_tree(path, target / path.name, ignored)
-        elif ignored is None or not path.name.endswith(ignored):
+        elif not path.name.endswith(ignored):
             shutil.copyfile(path, target / path.name)
 
 

@@ -44,6 +44,7 @@ for _command in (
     view.view,
     serve.serve,
     publish.publish,
+    publish.site,
     tiles.tiles,
 ):
     main.add_command(_command)

@@ -1,4 +1,4 @@
-"""Command publish: a folder for static web servers."""
+"""Commands publish and site: folders for static web servers."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -50,3 +50,27 @@ def publish(
     elif not quiet:
         n_bytes = sum(terrain.n_bytes for terrain in published)
         click.echo(f"{plain(directory)}: {count_of(len(published), 'terrain')}, {n_bytes:,} bytes")
+
+
+@click.command(cls=Command)
+@click.argument("directory", type=Directory())
+@click.option("--overwrite", is_flag=True, help="Replace an existing published folder.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def site(directory: str, overwrite: bool, quiet: bool, as_json: bool) -> None:
+    """Write to DIRECTORY a page that opens and proves .twz files, for static web hosts.
+
+    A file that is dropped on the page, or named by a URL, is shown as a map. Dropped with its
+    original GeoTIFF, every sample is compared. Files of visitors are not uploaded.
+    """
+    from terrainwave.ext.publish import write_site
+    from terrainwave.place.system import need_pyproj
+
+    need_pyproj(extra="publish", purpose="site")
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar:
+        samples = write_site(directory, overwrite=overwrite, progress=bar)
+    if as_json:
+        print_json({"path": str(Path(directory)), "samples": [asdict(one) for one in samples]})
+    elif not quiet:
+        click.echo(f"{plain(directory)}: the page and {count_of(len(samples), 'sample')}")

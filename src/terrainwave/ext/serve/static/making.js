@@ -6,6 +6,16 @@ export function open(maplibre, terrains, maker) {
   const byName = new Map(terrains.map((terrain) => [terrain.name, terrain]));
   addTerrains(maplibre, terrains, maker);
   return {
+    maker,
+    byName,
+
+    /** Take another terrain, { name, url, described }; `bytes` is a source of the page, for one without a URL. */
+    add(terrain, bytes) {
+      byName.set(terrain.name, terrain);
+      addTerrains(maplibre, [terrain], maker);
+      if (bytes) maker.bring(terrain.name, bytes);
+    },
+
     /** Return the addresses of a terrain's tiles, "rgb" or "voids", for a style. */
     tilesOf: ({ name }, kind, query) =>
       [`${SCHEME}://${encodeURIComponent(name)}/${kind}/{z}/{x}/{y}?${query}`],

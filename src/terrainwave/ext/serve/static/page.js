@@ -146,6 +146,15 @@ function show(terrain, view) {
   if (view) map.jumpTo(view);
   else home(terrain);
   apply();
+  document.body.dispatchEvent(new CustomEvent("show", { detail: terrain }));
+}
+
+/** Take another terrain of the source, and show it. */
+export function add(terrain) {
+  terrains.push(terrain);
+  element("terrain").append(new Option(terrain.name, terrain.name));
+  element("terrain").hidden = false;
+  show(terrain);
 }
 
 function home(terrain) {
@@ -161,6 +170,16 @@ function home(terrain) {
 
 // The panel. Texts of files are untrusted: they are set as text, never as HTML.
 
+/** Show [name, text], … in a list of descriptions. */
+export function list(id, entries) {
+  element(id).replaceChildren(...entries.flatMap(([name, text]) => {
+    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
+    term.textContent = name;
+    told.textContent = text;
+    return [term, told];
+  }));
+}
+
 function describe(terrain) {
   const error = Number(terrain.error.toPrecision(3));
   const strong = document.createElement("strong");
@@ -171,12 +190,7 @@ function describe(terrain) {
     strong,
     " of the original.",
   );
-  element("tags").replaceChildren(...Object.entries(terrain.origin).flatMap(([name, text]) => {
-    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    told.textContent = text;
-    return [term, told];
-  }));
+  list("tags", Object.entries(terrain.origin));
   element("origin").hidden = !Object.keys(terrain.origin).length;
   element("addresses").replaceChildren(
     copyable("This view", location.href),
@@ -258,7 +272,8 @@ async function askHeight(lngLat, what = "") {
     }
   } catch { /* said below, or aborted */ }
   if (signal.aborted) return;
-  element("place").textContent = `${what}${degrees(lat, "N", "S")}, ${degrees(lng, "E", "W")}: ${told}`;
+  const where = terrain.where?.(lng, lat) ?? `${degrees(lat, "N", "S")}, ${degrees(lng, "E", "W")}`;
+  element("place").textContent = `${what}${where}: ${told}`;
 }
 
 function degrees(angle, positive, negative) {
@@ -339,7 +354,9 @@ async function start() {
   window.terrainMap = map; // for the curious and for tests; #map is a window property already
 }
 
-start().catch((error) => {
+export { map, show, source, state, terrains };
+export const started = start();
+started.catch((error) => {
   tell("failed", `The terrain cannot be shown: ${error.message}`);
   element("again").onclick = () => location.reload();
 });

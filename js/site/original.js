@@ -1,0 +1,128 @@
+/** A band of a GeoTIFF, as `terrainwave verify` reads it: heights, and which of them are valid. */
+
+import { fromBlob } from "./geotiff/geotiff.js";
+import { storedNodata } from "./compare.js";
+
+const KINDS = { 1: "uint", 2: "int", 3: "float" };
+/** Of ExtraSamples: what GDAL takes for alpha. */
+const ALPHAS = [1, 2];
+const CHOOSE = "choose the raster that the file was made from";
+const IS_MASK = 4; // of NewSubfileType
+const IS_POINT = 2; // of GTRasterTypeGeoKey
+/** Of a pixel: how far corners may differ that were computed in another way. */
+const SAME_PIXEL = 1e-6;
+
+export class Original {
+  #image;
+  #mask = null;
+
+  /** Open a File or Blob; `band` counts from 1. */
+  static async open(file, band = 1) {
+    const magic = new Uint8Array(await file.slice(0, 4).arrayBuffer());
+    const isTiff = ["II*\0", "MM\0*", "II+\0", "MM\0+"].includes(String.fromCharCode(...magic));
+    if (!isTiff) throw new Error(`found a file that is no TIFF (${file.name}), expected a GeoTIFF: ${CHOOSE}`);
+    const original = new Original();
+    await readable("the GeoTIFF's header is damaged", async () => {
+      const tiff = await fromBlob(file);
+      original.#image = await tiff.getImage();
+      for (let i = 1, n = await tiff.getImageCount(); i < n; i++) {
+        const image = await tiff.getImage(i);
+        const isMask = ((image.fileDirectory.getValue("NewSubfileType") ?? 0) & IS_MASK) !== 0;
+        if (isMask && image.getWidth() === original.nCols && image.getHeight() === original.nRows) original.#mask = image;
+      }
+    });
+    const { nBands } = original;
+    if (!(band >= 1 && band <= nBands)) {
+      throw new Error(`found band ${band}, expected 1${nBands > 1 ? ` to ${nBands}` : ", the only one"}`);
+    }
+    await original.#describe(band - 1);
+    return original;
+  }
+
+  get nBands() { return this.#image.getSamplesPerPixel(); }
+
+  get nRows() { return this.#image.getHeight(); }
+
+  get nCols() { return this.#image.getWidth(); }
+
+  get isTiled() { return this.#image.isTiled; }
+
+  /** Rows that are decoded together. */
+  get tileRows() { return this.#image.getTileHeight(); }
+
+  async #describe(band) {
+    const image = this.#image;
+    const told = (await image.getGDALMetadata(band)) ?? {};
+    const extra = [].concat(...[image.fileDirectory.getValue("ExtraSamples") ?? []].map((value) => [...value]));
+    const firstExtra = this.nBands - extra.length;
+    this.bands = [band, ...extra.flatMap((kind, i) => (ALPHAS.includes(kind) && firstExtra + i !== band ? [firstExtra + i] : []))];
+    this.dtype = `${KINDS[image.getSampleFormat(band)]}${image.getBitsPerSample(band)}`;
+    // geotiff.js takes infinities for NaN.
+    const [, sign] = /^\s*([+-]?)inf/i.exec(image.fileDirectory.getValue("GDAL_NODATA") ?? "") ?? [];
+    this.nodata = sign === undefined ? image.getGDALNoData() : Number(`${sign}Infinity`);
+    this.scale = Number(told.SCALE ?? 1);
+    this.offset = Number(told.OFFSET ?? 0);
+    this.transform = this.#transform();
+  }
+
+  #transform() {
+    const { fileDirectory: tags } = this.#image;
+    const [scale, tie, matrix] = ["ModelPixelScale", "ModelTiepoint", "ModelTransformation"].map((name) => tags.getValue(name));
+    let found = [1, 0, 0, 0, 1, 0];
+    if (matrix) found = [0, 1, 3, 4, 5, 7].map((i) => matrix[i]);
+    else if (scale && tie) {
+      found = [scale[0], 0, tie[3] - tie[0] * scale[0], 0, -scale[1], tie[4] + tie[1] * scale[1]];
+    }
+    const [a, b, c, d, e, f] = found;
+    const isPoint = this.#image.getGeoKeys()?.GTRasterTypeGeoKey === IS_POINT;
+    return isPoint ? [a, b, c - (a + b) / 2, d, e, f - (d + e) / 2] : found;
+  }
+
+  /** Return what differs from a `Terrain`, a line each; `isFatal`: heights cannot be compared. */
+  problems(terrain) {
+    const shape = ({ nRows, nCols }) => `${nRows} rows x ${nCols} columns`;
+    if (this.nRows !== terrain.nRows || this.nCols !== terrain.nCols) {
+      return { isFatal: true, lines: [`found a GeoTIFF of ${shape(this)}, expected ${shape(terrain)} as in the .twz file: ${CHOOSE}`] };
+    }
+    if (this.dtype !== terrain.dtype) {
+      return { isFatal: true, lines: [`found a GeoTIFF of ${this.dtype}, expected ${terrain.dtype} as in the .twz file: ${CHOOSE}`] };
+    }
+    const lines = [];
+    for (const name of ["scale", "offset"]) {
+      if (this[name] !== terrain[name]) lines.push(`${name} is ${terrain[name]}, the original's is ${this[name]}`);
+    }
+    const [own, other] = [terrain.nodata, this.nodata].map((value) => (Number.isNaN(value) ? NaN : storedNodata(value, this.dtype)));
+    if (!Object.is(own, other)) lines.push(`nodata is ${terrain.nodata}, the original's is ${this.nodata}`);
+    const found = terrain.transform();
+    const far = SAME_PIXEL * Math.hypot(found[0], found[3]) / Math.max(this.nRows, this.nCols);
+    if (found.some((value, i) => !(Math.abs(value - this.transform[i]) <= far * (i % 3 === 2 ? Math.max(this.nRows, this.nCols) : 1)))) {
+      lines.push(`the transform is ${found.join(", ")}, the original's is ${this.transform.join(", ")}`);
+    }
+    return { isFatal: false, lines };
+  }
+
+  /** Return { heights, valid } of a window { row, col, nRows, nCols }. */
+  async read({ row, col, nRows, nCols }) {
+    const window = [col, row, col + nCols, row + nRows];
+    const place = `rows ${row} to ${row + nRows - 1} of the GeoTIFF cannot be read`;
+    const [heights, ...alphas] = await readable(place, () => this.#image.readRasters({ window, samples: this.bands }));
+    const [mask] = this.#mask ? await readable(place, () => this.#mask.readRasters({ window })) : [];
+    const nodata = storedNodata(this.nodata, this.dtype);
+    const valid = new Uint8Array(heights.length);
+    const others = mask ? [...alphas, mask] : alphas;
+    for (let i = 0; i < heights.length; i++) {
+      const height = heights[i];
+      valid[i] = height === height && height !== nodata && others.every((other) => other[i] > 0) ? 1 : 0;
+    }
+    return { heights, valid };
+  }
+}
+
+/** Return what `read` returns, or fail with a line that says what cannot be read. */
+async function readable(what, read) {
+  try {
+    return await read();
+  } catch ({ message }) {
+    throw new Error(`${what}: ${message}`);
+  }
+}

@@ -1,0 +1,351 @@
+/**
+ * The page of `terrainwave site`: that of a published folder, which also takes files of its visitor. What it needs
+ * lies in the folder: it works offline and under a strict Content-Security-Policy.
+ */
+import { add, list, map, show, source, started, state, terrains } from "../../static/page.js";
+import { withUnit } from "../../static/colours.js";
+import { Places } from "../map/places.js";
+import { open } from "../src/index.js";
+import { describe, factsOf, isInDegrees } from "./described.js";
+import { geoTiff, png } from "./files.js";
+import { SIDE, mesher } from "./mesh.js";
+import { prove } from "./prove.js";
+
+const element = (id) => document.getElementById(id);
+const LINES = { type: "Feature", properties: {}, geometry: { type: "MultiLineString", coordinates: [] } };
+const ON_MAP = {
+  mesh: ["line", { "line-color": "#102a43", "line-width": 0.7 }],
+  worst: ["circle", {
+    "circle-color": "#d43d1a", "circle-radius": 8, "circle-stroke-color": "#fff", "circle-stroke-width": 2,
+  }],
+};
+/** Places along each side of the map that are looked at for what is in view. */
+const N_LOOKED_AT = 33;
+const MOST_SAVED = 2 ** 26;
+/** By name: { from, terrain }, a File or URL and the promise of its `Terrain`. */
+const opened = new Map();
+
+function say(id, message, isBad = false) {
+  element(id).textContent = message;
+  element(id).classList.toggle("bad", isBad);
+}
+
+/** Say in `id` what fails in `work`; return what it returns, undefined where it fails. */
+async function saying(id, work) {
+  try {
+    return await work();
+  } catch (error) {
+    if (error.name !== "AbortError") say(id, error.message, true);
+    return undefined;
+  }
+}
+
+// Open.
+
+async function openTerrain(from, name) {
+  say("said", `Opening ${name} …`);
+  const terrain = await open(from).catch(({ message }) => {
+    throw new Error(`${name} cannot be opened as a .twz file: ${message}`);
+  });
+  const described = describe(terrain, nameFor(name), terrains[0].ramps);
+  opened.set(described.name, { from, terrain });
+  const isFile = from instanceof Blob;
+  const bytes = isFile ? { size: from.size, read: (start, end) => from.slice(start, end).arrayBuffer() } : null;
+  source.add({ name: described.name, url: isFile ? "" : new URL(from), described }, bytes);
+  const { plane } = described;
+  const where = plane && ((lon, lat) =>
+    `x ${(plane.x + lon / plane.degrees).toFixed(2)}, y ${(plane.y + lat / plane.degrees).toFixed(2)}`);
+  add({ ...described, ...(where && { where }) });
+  say("said", plane ? "Shown on a plane, in coordinates of its own: the page knows longitudes and latitudes only." : "");
+}
+
+/** Return a name that no other terrain has. */
+function nameFor(name) {
+  const stem = name.replace(/\.twz$/i, "") || "terrain";
+  for (let n = 1; ; n++) {
+    const found = n === 1 ? stem : `${stem} (${n})`;
+    if (!terrains.some((terrain) => terrain.name === found)) return found;
+  }
+}
+
+/** Open a .twz file, and prove it by the GeoTIFF that comes with it. */
+function take(files) {
+  const isRaster = ({ name }) => /\.tiff?$/i.test(name);
+  const original = [...files].find(isRaster);
+  return saying("said", async () => {
+    for (const twz of files) if (!isRaster(twz)) await openTerrain(twz, twz.name);
+    if (!original) return;
+    const moved = new DataTransfer();
+    moved.items.add(original);
+    element("original").files = moved.files;
+    element("prove").disabled = false;
+    element("proving").open = true;
+    await startProof();
+  });
+}
+
+function current() {
+  const { name } = state.terrain;
+  if (!opened.has(name)) {
+    const from = source.byName.get(name).url.href;
+    opened.set(name, { from, terrain: open(from) });
+  }
+  return opened.get(name);
+}
+
+async function shown({ detail: described }) {
+  clearProof();
+  drawn.mesh = null;
+  for (const button of element("samples").children) button.ariaPressed = String(button.value === described.name);
+  await saying("said", async () => {
+    const terrain = await current().terrain;
+    const root = await terrain.statedRoot();
+    if (state.terrain !== described) return;
+    list("info", factsOf(terrain, root));
+    element("level").replaceChildren(...Array.from({ length: terrain.nLevels }, (_, k) => {
+      const { nRows, nCols } = terrain.shape(k);
+      return new Option(`${k}: ${nRows} × ${nCols}`, k);
+    }));
+    element("level").value = terrain.nLevels - 1;
+  });
+}
+
+// What is drawn on the map: a new style drops it.
+
+const drawn = { mesh: null, worst: null };
+
+function draw(id, data) {
+  drawn[id] = data;
+  if (!map.getStyle()?.sources.heights) return; // the empty style, or one on its way
+  if (map.getSource(id)) {
+    map.getSource(id).setData(data ?? LINES);
+  } else if (data) {
+    const [type, paint] = ON_MAP[id];
+    map.addSource(id, { type: "geojson", data });
+    map.addLayer({ id, type, source: id, paint });
+  }
+}
+
+// The part in view.
+
+/** Return [west, south, east, north] of the terrain in view. */
+function boundsInView() {
+  const view = map.getBounds();
+  const [west, south, east, north] = state.terrain.bounds;
+  const found = [Math.max(west, view.getWest()), Math.max(south, view.getSouth()),
+    Math.min(east, view.getEast()), Math.min(north, view.getNorth())];
+  if (found[0] >= found[2] || found[1] >= found[3]) throw new Error("no part of the terrain is in view: move the map to it");
+  return found;
+}
+
+const along = (from, to, n) => Array.from({ length: n }, (_, i) => from + ((to - from) * i) / (n - 1));
+
+/** Return the window of a level, { row, col, nRows, nCols }, in view. */
+function windowInView(terrain, level) {
+  const [west, south, east, north] = boundsInView();
+  const { rows, cols } = new Places(state.terrain.placed, terrain)
+    .toSamples(along(west, east, N_LOOKED_AT), along(south, north, N_LOOKED_AT));
+  const step = 2 ** (terrain.nLevels - 1 - level);
+  const shape = terrain.shape(level);
+  const span = (places, n, round) => {
+    const known = places.filter((place) => !Number.isNaN(place));
+    if (!known.length) throw new Error("no part of the terrain is in view: move the map to it");
+    const held = (place) => Math.min(Math.max(place, 0), n - 1);
+    if (round) return [0, n];
+    const [first, last] = [Math.min(...known), Math.max(...known)].map((place) => place / step);
+    return [held(Math.floor(first)), held(Math.ceil(last)) - held(Math.floor(first)) + 1];
+  };
+  const [row, nRows] = span(rows, shape.nRows, false);
+  const [col, nCols] = span(cols, shape.nCols, state.terrain.placed.goes_round);
+  return { row, col, nRows, nCols };
+}
+
+/** Return the longitude and latitude of a sample: the nearest of many places, again and again closer. */
+function lonLatOf(terrain, { row, col }) {
+  const places = new Places(state.terrain.placed, terrain);
+  let [west, south, east, north] = state.terrain.bounds;
+  let best = null;
+  for (let round = 0; round < 8; round++) {
+    const [lons, lats] = [along(west, east, N_LOOKED_AT), along(south, north, N_LOOKED_AT)];
+    const { rows, cols } = places.toSamples(lons, lats);
+    let least = Infinity;
+    for (let i = 0; i < rows.length; i++) {
+      const far = Math.hypot(rows[i] - row, cols[i] - col);
+      if (far < least) [least, best] = [far, [lons[i % N_LOOKED_AT], lats[Math.floor(i / N_LOOKED_AT)]]];
+    }
+    const [wide, high] = [(east - west) / 8, (north - south) / 8];
+    [west, south, east, north] = [best[0] - wide, best[1] - high, best[0] + wide, best[1] + high];
+  }
+  return best;
+}
+
+async function save() {
+  say("saved", "Reading …");
+  const { name } = state.terrain;
+  const terrain = await current().terrain;
+  const level = Number(element("level").value);
+  const window = windowInView(terrain, level);
+  if (window.nRows * window.nCols > MOST_SAVED) {
+    throw new Error(`${window.nRows} × ${window.nCols} samples are in view, expected at most ${MOST_SAVED}: move closer, or take a coarser level`);
+  }
+  const found = await terrain.read(level, window);
+  const format = element("format").value;
+  const parts = format === "tif" ? geoTiff(terrain, found, isInDegrees(terrain)) : await png(terrain, found);
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob(parts));
+  link.download = `${name}.${format}`;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+  const isNamed = format !== "tif" || terrain.crs === null || /^EPSG:\d+$/.test(terrain.crs);
+  say("saved", `${link.download}: ${window.nRows} × ${window.nCols} samples${isNamed ? "" : ", without the CRS, which has no EPSG code"}`);
+}
+
+// The mesh.
+
+let surface = null; // of the view: { mesh, bounds, others }
+let wanted = 0;
+
+async function meshView() {
+  if (!element("meshing").open) return;
+  const mine = ++wanted;
+  await saying("meshed", async () => {
+    const [west, south, east, north] = boundsInView();
+    say("meshed", "Reading …");
+    const { known, error, terrainError } =
+      await source.maker.ask(source.byName.get(state.terrain.name), "surface", [[west, south, east, north], SIDE]);
+    if (mine !== wanted) return;
+    surface = { mesh: mesher(known), west, south, east, north, others: error + (terrainError ?? 0) };
+    showMesh();
+  });
+}
+
+function showMesh() {
+  if (!surface) return;
+  const { lowest, highest, error } = state.terrain;
+  const [least, most] = [Math.max(error, (highest - lowest) / 1e4) / 4, (highest - lowest) / 5];
+  const tolerance = least * (most / least) ** (Number(element("coarseness").value) / 100);
+  const { mesh, west, south, east, north, others } = surface;
+  const { lines, nTriangles, error: measured } = mesh(tolerance);
+  const place = ([col, row]) => [west + ((east - west) * col) / (SIDE - 1), north - ((north - south) * row) / (SIDE - 1)];
+  const written = (number) => withUnit(Number(number.toPrecision(3)), state.terrain);
+  element("tolerance").value = written(tolerance);
+  const data = { ...LINES, geometry: { ...LINES.geometry, coordinates: lines.map((line) => line.map(place)) } };
+  draw("mesh", data);
+  say("meshed", `${nTriangles.toLocaleString("en")} triangles, at most ${written(measured)} from the ${SIDE} × ${SIDE}`
+    + ` heights of the view, and ${written(measured + others)} from the original.`
+    + (lines.length || !nTriangles ? "" : " They are too many to draw: move closer, or raise the tolerance."));
+}
+
+// Prove.
+
+let proof = new AbortController();
+
+function clearProof() {
+  proof.abort();
+  draw("worst", null);
+  for (const id of ["problems", "proof"]) element(id).replaceChildren();
+  for (const id of ["where", "errors", "progress", "cancel"]) element(id).hidden = true;
+  say("proved", "");
+}
+
+async function startProof() {
+  const described = state.terrain;
+  clearProof();
+  proof = new AbortController();
+  const { signal } = proof;
+  const [{ from, terrain }, tif] = [current(), element("original").files[0]];
+  element("progress").value = 0;
+  element("progress").hidden = element("cancel").hidden = false;
+  say("proved", `Comparing ${described.name} with ${tif.name} …`);
+  let told = 0;
+  const onProgress = (share) => {
+    element("progress").value = share;
+    if (share < told + 0.1) return; // or a screen reader reads on and on
+    told = share;
+    say("proved", `${Math.floor(100 * share)} % of the samples compared`);
+  };
+  const report = await saying("proved", async () =>
+    prove({ twz: from, tif, band: Number(element("band").value) }, onProgress, signal));
+  if (signal.aborted && described === state.terrain && !report) say("proved", "Cancelled.");
+  if (signal === proof.signal) element("progress").hidden = element("cancel").hidden = true;
+  if (!report || signal.aborted) return;
+  await showProof(await terrain, described, report);
+}
+
+async function showProof(terrain, described, { nValid, maxError, rmse, worst, bars, problems, stated, root }) {
+  const inUnits = (number) => withUnit(Number(number.toPrecision(4)), { units: terrain.units });
+  say("proved", problems.length
+    ? "Not proved. Found:"
+    : `Proved: all ${nValid.toLocaleString("en")} samples are within ${inUnits(terrain.effectiveBound)} of the original.`, problems.length > 0);
+  element("problems").replaceChildren(...problems.map((problem) =>
+    Object.assign(document.createElement("li"), { textContent: problem })));
+  const scale = ({ original, decoded }) => [original, decoded].map((raw) => inUnits(raw * terrain.scale + terrain.offset));
+  const [one, other] = worst ? scale(worst) : [];
+  list("proof", [
+    ["Largest error", worst ? `${inUnits(maxError)} at row ${worst.row}, column ${worst.col}: ${other} for ${one}` : "0: all samples are equal"],
+    ["Root mean square error", inUnits(rmse)],
+    ["Root of the decoded heights", root],
+    ["Root that the file states", stated === null ? "none" : stated === root ? "the same" : stated],
+  ]);
+  element("where").hidden = !worst;
+  if (worst) {
+    const coordinates = lonLatOf(terrain, worst);
+    element("where").onclick = () => map.jumpTo({ center: coordinates, zoom: described.maxzoom });
+    draw("worst", { type: "Feature", properties: {}, geometry: { type: "Point", coordinates } });
+  }
+  showBars(bars, inUnits);
+}
+
+function showBars(bars, inUnits) {
+  const most = Math.max(...bars.map(({ n }) => n), 1);
+  const width = 200 / bars.length;
+  element("bars").replaceChildren(...bars.map(({ n }, i) => {
+    const bar = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+    const height = (60 * n) / most;
+    const sides = { x: i * width, y: 60 - height, width: width * 0.9, height };
+    for (const [name, value] of Object.entries(sides)) bar.setAttribute(name, value);
+    return bar;
+  }));
+  const [low, high] = [bars[0].from, bars.at(-1).from];
+  const middle = bars[(bars.length - 1) / 2].n;
+  element("bars").ariaLabel = `Histogram of decoded minus original, ${inUnits(low)} to ${inUnits(high)}: ${middle} samples around 0, at most ${most} in a bar`;
+  const written = bars.length > 1 ? [inUnits(low), "decoded − original", inUnits(high)] : ["0"];
+  element("scale").replaceChildren(...written.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
+  element("errors").hidden = false;
+}
+
+// All that can be done.
+
+function connect() {
+  element("samples").replaceChildren(...terrains.map(({ name }) => {
+    const button = Object.assign(document.createElement("button"), { type: "button", value: name, textContent: name });
+    button.addEventListener("click", () => show(terrains.find((terrain) => terrain.name === name)));
+    return button;
+  }));
+  document.body.addEventListener("show", shown);
+  map.on("style.load", () => Object.entries(drawn).forEach(([id, data]) => draw(id, data)));
+  map.on("moveend", () => meshView());
+  element("meshing").addEventListener("toggle", () => (element("meshing").open ? meshView() : draw("mesh", null)));
+  element("coarseness").addEventListener("input", () => requestAnimationFrame(showMesh));
+  element("file").addEventListener("change", ({ target }) => take(target.files));
+  element("fetching").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const url = element("url").value;
+    saying("said", () => openTerrain(url, decodeURIComponent(new URL(url).pathname.split("/").at(-1))));
+  });
+  element("save").addEventListener("click", () => saying("saved", save));
+  element("original").addEventListener("change", ({ target }) => { element("prove").disabled = !target.files.length; });
+  element("prove").addEventListener("click", startProof);
+  element("cancel").addEventListener("click", () => proof.abort());
+  for (const event of ["dragenter", "dragover", "dragleave", "drop"]) {
+    document.addEventListener(event, (dragged) => {
+      dragged.preventDefault();
+      document.body.classList.toggle("dropping", event === "dragenter" || event === "dragover");
+      if (event === "drop") take(dragged.dataTransfer.files);
+    });
+  }
+}
+
+await started;
+connect();
+if (state.terrain) shown({ detail: state.terrain });
