@@ -37,7 +37,8 @@ _READER = ("src", "map")
 _PART = 8 << 20
 _END_OF_HEAD, _SELECTION, _DESCRIPTION = "</head>", '<select id="terrain"', '<p id="about"></p>'
 # The part of js/ with the site's page, whose file of controls has two parts.
-_SITE, _BETWEEN = "site", "<!-- below the description -->"
+_SITE, _HEADING = "<summary>terrainwave"
+_BETWEEN = "site", "<!-- below the description -->"
 # Pictures in style sheets are data; visitors may name a file on another server.
 _SITE_POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
@@ -209,6 +210,7 @@ def _write_page(new: Path, *, is_site: bool) -> None:
         above, below = (copy / _SITE / "site.html").read_text(encoding="utf-8").split(_BETWEEN)
         text = text.replace(_SELECTION, above + _SELECTION)
         text = text.replace(_DESCRIPTION, _DESCRIPTION + below)
+        text = text.replace(_HEADING, f"{_HEADING}: open or prove a file")  # all that phones show
     (new / "index.html").write_text(text, encoding="utf-8")
 
 
