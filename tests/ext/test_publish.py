@@ -148,7 +148,7 @@ def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
         found = json.loads(node("testing/tiles.js", tmp_path / "site", name, RIM, *places))
         for place, at in places.items():
             expected, tile = tiling.rgb_tile(globe, *at, RIM), found[place]
-            with Image.open(io.BytesIO(expected.png)) as image:
+            with Image.open(io.BytesIO(expected.image)) as image:
                 difference = np.abs(
                     codes(np.asarray(image)) - codes(decoded(tile["pixels"]).reshape(256, 256, 4))
                 )
@@ -189,7 +189,7 @@ def test_tiles_of_depths_and_radii_made_in_javascript_are_those_of_the_server(
             node("testing/tiles.js", tmp_path / "site", "it", RIM, f"rgb/{z}/{x}/{y}")
         )
         expected, tile = tiling.rgb_tile(globe, z, x, y, RIM), found[f"rgb/{z}/{x}/{y}"]
-    with Image.open(io.BytesIO(expected.png)) as image:
+    with Image.open(io.BytesIO(expected.image)) as image:
         own, other = codes(np.asarray(image)), codes(decoded(tile["pixels"]).reshape(256, 256, 4))
     # Steps of 0.1 m. In the outermost half pixel heights of an ellipsoid go on (Python), or radii.
     assert (np.abs(own - other) > 1).mean() < (0.02 if "169" in crs else 1e-6)
@@ -211,7 +211,7 @@ def test_tiles_made_in_javascript_have_the_other_encoding_and_transparent_voids(
             place = "terrarium/{}/{}/{}".format(*at)
             found = json.loads(node("testing/tiles.js", tmp_path / "site", "hills", RIM, place))
             tile = tiling.rgb_tile(globe, *at, RIM, tiling.Look("terrarium", True))
-            expected = np.asarray(Image.open(io.BytesIO(tile.png)))
+            expected = np.asarray(Image.open(io.BytesIO(tile.image)))
             pixels = decoded(found[place]["pixels"]).reshape(256, 256, 4)
             # Steps of 1/256 m are 26 times finer than 0.1 m: so many more places cross one.
             difference = np.abs(codes(expected) - codes(pixels))
