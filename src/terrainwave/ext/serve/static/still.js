@@ -5,6 +5,8 @@ import { homeOf, isNarrow } from "./home.js";
 
 const PIXELS = 256; // along the longer side
 const N_COLOURS = 1024;
+// Drawn by the processor: a graphics card, or what stands for one, is busy with the map.
+const BY_PROCESSOR = { willReadFrequently: true };
 const WORLD = 512; // pixels of the map's world at zoom 0
 const DISTANCE = 1.5; // of the map's camera, in heights of the window
 const LIGHT = 0.55; // most shade of a slope that faces away from the light at the upper left
@@ -34,7 +36,7 @@ function cameraOf(terrain, view, place) {
 
 /** Return the colours of heights from the first stop's to the last one's, RGBA. */
 function coloursOf(stops) {
-  const paint = new OffscreenCanvas(N_COLOURS, 1).getContext("2d");
+  const paint = new OffscreenCanvas(N_COLOURS, 1).getContext("2d", BY_PROCESSOR);
   const [low, high] = [stops[0][0], stops.at(-1)[0]];
   paint.fillStyle = paint.createLinearGradient(0, 0, N_COLOURS, 0);
   for (const [height, colour] of stops) paint.fillStyle.addColorStop((height - low) / (high - low), colour);
@@ -60,7 +62,7 @@ function paint(canvas, { heights, spacing }, stops, steepness) {
     }
     picture.data[4 * i + 3] = 255;
   });
-  canvas.getContext("2d").putImageData(picture, 0, 0);
+  canvas.getContext("2d", BY_PROCESSOR).putImageData(picture, 0, 0);
 }
 
 const isOver = () => document.body.dataset.state !== "waiting";
