@@ -216,26 +216,34 @@ def test_no_pixel_is_further_from_the_original_than_its_zoom_states(
     assert steps[0] > 8 * steps[-1]
 
 
-def test_voids_lie_below_rounded_heights_and_a_range_that_is_missed_is_in_the_error(
-    tmp_path, trench
-):
-    with terrainwave.open(trench) as terrain:
-        for encoding, least in (("terrarium", 0), ("mapbox", 900)):
-            target = tmp_path / f"{encoding}.pmtiles"
-            with warnings.catch_warnings(action="ignore"):
-                zooms = write_pmtiles(
-                    terrain, target, encoding=encoding, min_zoom=7, round_by_zoom=True
-                )
-            # down to -10,900 m, and the first starts at -10,000 m
-            assert all(zoom.error - zoom.terrain_error >= least for zoom in zooms)
-            globe = Globe(terrain)
-            (z, x, y), tile = max(read_archive(target)[0].items(), key=lambda one: len(one[1]))
-            look = tiling.look_of(encoding=encoding, transparent_voids=True, round_by_zoom=True)
-            is_void = np.isnan(heights_in(tiling.rgb_tile(globe, z, x, y, 0, look).image, encoding))
-            heights = heights_in(tile, encoding)
-            assert 0 < is_void.sum() < is_void.size
-            if encoding == "terrarium":
-                assert heights[is_void].max() < heights[~is_void].min() - 0.5
+def test_the_error_of_a_zoom_has_what_the_encoding_cannot_hold(tmp_path, trench):
+    target = tmp_path / "a.pmtiles"
+    with terrainwave.open(trench) as terrain, warnings.catch_warnings(action="ignore"):
+        zooms = write_pmtiles(terrain, target, min_zoom=7, round_by_zoom=True)
+    # down to -10,900 m, and the encoding begins at -10,000 m
+    assert all(zoom.error - zoom.terrain_error == pytest.approx(900) for zoom in zooms)
+
+
+@pytest.mark.parametrize("encoding", ["mapbox", "terrarium"])
+def test_voids_lie_below_heights_that_are_rounded_down(tmp_path, encoding):
+    heights = np.maximum(hills(200, 200) - 400, 5)
+    heights[50:100, 50:100] = -9999
+    twz = write_twz(tmp_path, heights, BOUNDS, max_error=8, nodata=-9999)
+    look = {"encoding": encoding, "round_by_zoom": True}
+    found = {}
+    with terrainwave.open(twz) as terrain:
+        for is_clear in (False, True):
+            target = tmp_path / f"{is_clear}.pmtiles"
+            zooms = write_pmtiles(terrain, target, min_zoom=5, transparent_voids=is_clear, **look)
+            found[is_clear] = read_archive(target)[0]
+    assert any(5 % zoom.step > 0.5 for zoom in zooms)
+    for place, tile in found[False].items():
+        drawn, is_void = (
+            heights_in(tile, encoding),
+            np.isnan(heights_in(found[True][place], encoding)),
+        )
+        assert 0 < is_void.sum() < is_void.size
+        assert drawn[is_void].max() < drawn[~is_void].min()
 
 
 @pytest.mark.parametrize(("encoding", "height"), [("mapbox", -10_001), ("terrarium", 32_768)])
