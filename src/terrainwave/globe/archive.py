@@ -96,8 +96,8 @@ def write_pmtiles(
     overwrite : bool
         Replace an existing file.
     options
-        Of `terrain_rgb.look_of`; `image` is WebP by default, 0.6 to 0.83 of the bytes of PNG. A
-        warning lists heights outside the encoding's range.
+        Of `terrain_rgb.look_of`; `image` is WebP by default, 0.56 to 0.83 of the bytes of PNG.
+        A warning lists heights outside the encoding's range.
 
     Raises
     ------

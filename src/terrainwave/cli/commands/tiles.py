@@ -74,7 +74,7 @@ from terrainwave.names import TILE_ENCODINGS, TILE_IMAGES
 @click.option(
     "--image",
     type=click.Choice(TILE_IMAGES),
-    help="For .pmtiles: lossless image format. webp (default) takes 0.6 to 0.83 of"
+    help="For .pmtiles: lossless image format. webp (default) takes 0.56 to 0.83 of"
     " the bytes of png.",
 )
 @click.option(
