@@ -24,7 +24,7 @@ export class TileMaker {
   }
 
   /**
-   * Return what the worker answers: `what` is rgb, voids, heightmap, mesh or height; `terrain` is
+   * Return what the worker answers: `what` is rgb, voids, plan, heightmap, mesh or height; `terrain` is
    * { name, url, described }, described as in terrains.json.
    */
   ask(terrain, what, args, signal) {

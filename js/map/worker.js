@@ -19,7 +19,9 @@ import { Mailbox } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
 import { heightmap, sampledGrid } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
-import { TILE_SIZE, rgbPixels, rgbTile, voidPixels, voidsOf } from "./terrain-rgb.js";
+import {
+  TILE_SIZE, latitudeOf, longitudeOf, rgbPixels, rgbTile, spacingOf, voidPixels, voidsOf,
+} from "./terrain-rgb.js";
 
 const N_KEPT = 32;
 const globes = new Map(); // by `keyOf`: promises
@@ -95,8 +97,15 @@ const WORK = {
   async heightmap(globe, _key, z, x, y, size) {
     return heightmap(globe, z, x, y, size);
   },
-  async open() {
-    return null; // it is open
+  /** Heights at pixels of a rectangle of the Web Mercator world, 0 to 1 across and down, and metres of a pixel. */
+  async plan(globe, _key, [left, top, right, bottom], nCols, nRows) {
+    const between = (first, last, n) =>
+      Array.from({ length: n }, (_, i) => first + ((last - first) * (i + 0.5)) / n);
+    const lon = between(left, right, nCols).map((x) => longitudeOf(0, x));
+    const lat = between(top, bottom, nRows).map((y) => latitudeOf(0, y));
+    const spacing = spacingOf(globe, 0, (top + bottom) / 2 - 0.5, nCols / (right - left));
+    const { heights } = await globe.heightsAt(globe.places.toSamples(lon, lat), globe.levelFor(spacing));
+    return { heights, spacing };
   },
   async mesh(globe, _key, z, x, y, size) {
     return gridMesh(globe, z, x, y, size);

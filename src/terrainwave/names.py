@@ -22,6 +22,8 @@ DEFAULT_MESH = "halves"
 UNBOUNDED_MESHES = ("rqt-coefficient",)
 # Encodings of heights in terrain-RGB tiles (`globe.terrain_rgb.ENCODINGS`).
 TILE_ENCODINGS = ("mapbox", "terrarium")
+# Their lossless image formats (`globe.terrain_rgb.TILE_IMAGES`); the first is an archive's default.
+TILE_IMAGES = ("webp", "png")
 # Tasks whose kernels can be compiled in advance (`cli.warmup.TASKS`).
 WARMUP_TASKS = ("compress", "read", "verify", "patch", "mesh", "render")
 

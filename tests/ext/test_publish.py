@@ -18,6 +18,8 @@ from ext.static_server import static_server
 from ext.test_javascript import node
 from PIL import Image
 from rasterio.warp import transform
+from scipy.ndimage import gaussian_filter
+from selenium.webdriver import ActionChains
 
 import terrainwave
 from terrainwave.ext.publish import publish_site
@@ -148,7 +150,7 @@ def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
         found = json.loads(node("testing/tiles.js", tmp_path / "site", name, RIM, *places))
         for place, at in places.items():
             expected, tile = tiling.rgb_tile(globe, *at, RIM), found[place]
-            with Image.open(io.BytesIO(expected.png)) as image:
+            with Image.open(io.BytesIO(expected.image)) as image:
                 difference = np.abs(
                     codes(np.asarray(image)) - codes(decoded(tile["pixels"]).reshape(256, 256, 4))
                 )
@@ -189,7 +191,7 @@ def test_tiles_of_depths_and_radii_made_in_javascript_are_those_of_the_server(
             node("testing/tiles.js", tmp_path / "site", "it", RIM, f"rgb/{z}/{x}/{y}")
         )
         expected, tile = tiling.rgb_tile(globe, z, x, y, RIM), found[f"rgb/{z}/{x}/{y}"]
-    with Image.open(io.BytesIO(expected.png)) as image:
+    with Image.open(io.BytesIO(expected.image)) as image:
         own, other = codes(np.asarray(image)), codes(decoded(tile["pixels"]).reshape(256, 256, 4))
     # Steps of 0.1 m. In the outermost half pixel heights of an ellipsoid go on (Python), or radii.
     assert (np.abs(own - other) > 1).mean() < (0.02 if "169" in crs else 1e-6)
@@ -211,7 +213,7 @@ def test_tiles_made_in_javascript_have_the_other_encoding_and_transparent_voids(
             place = "terrarium/{}/{}/{}".format(*at)
             found = json.loads(node("testing/tiles.js", tmp_path / "site", "hills", RIM, place))
             tile = tiling.rgb_tile(globe, *at, RIM, tiling.Look("terrarium", True))
-            expected = np.asarray(Image.open(io.BytesIO(tile.png)))
+            expected = np.asarray(Image.open(io.BytesIO(tile.image)))
             pixels = decoded(found[place]["pixels"]).reshape(256, 256, 4)
             # Steps of 1/256 m are 26 times finer than 0.1 m: so many more places cross one.
             difference = np.abs(codes(expected) - codes(pixels))
@@ -328,3 +330,78 @@ def test_what_is_gone_is_said(site, browser, tmp_path, gone, line):
     with static_server(tmp_path / "site") as server:
         driver = show(browser, server, "failed")
         assert line in driver.find_element("id", "message").text
+
+
+# Keeps the first still, and the corners of its rectangle in the window.
+KEEP_STILL = """
+    new MutationObserver(() => {
+      const still = document.getElementById("still");
+      if (!still || globalThis.keptStill) return;
+      globalThis.keptStill = still;
+      const { left, top, right, bottom } = still.firstChild.getBoundingClientRect();
+      globalThis.boxOfStill = [left, top, right, bottom];
+    }).observe(document, { subtree: true, childList: true });
+"""
+BOX_OF_THE_MAP = """
+    const [west, south, east, north] = arguments;
+    const corners = [[west, north], [east, north], [east, south], [west, south]]
+      .map((place) => terrainMap.project(place));
+    const [x, y] = [corners.map(({ x }) => x), corners.map(({ y }) => y)];
+    return [Math.min(...x), Math.min(...y), Math.max(...x), Math.max(...y)];
+"""
+
+
+@pytest.fixture
+def keeping_stills(browser):
+    command = "Page.addScriptToEvaluateOnNewDocument"
+    added = browser.execute_cdp_cmd(command, {"source": KEEP_STILL})
+    yield browser
+    browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize(
+    "hash_", ["", "view=46.2,8.25,9.3,30,50", "view=46.25,8.2,9.5,0,0&colours=cividis&shaded=0"]
+)
+def test_the_still_is_the_map_to_come_and_goes_when_it_has(site, keeping_stills, hash_):
+    with static_server(site) as server:
+        driver = show(keeping_stills, server, hash_=hash_)
+        assert driver.execute_script("return document.getElementById('still')") is None
+        box = driver.execute_script("return globalThis.boxOfStill")
+        expected = driver.execute_script(BOX_OF_THE_MAP, *BOUNDS)
+        width = expected[2] - expected[0]
+        # Corners of the map lie up to 600 m of some 40 km above or below its middle.
+        assert np.abs(np.subtract(box, expected)).max() < 0.01 * width
+        drawn = screenshot(driver)
+        driver.execute_script("document.body.append(globalThis.keptStill)")
+        still = screenshot(driver)
+        x0, y0, x1, y1 = np.clip(box, 0, [still.shape[1], still.shape[0]] * 2).astype(int)
+        inside = np.s_[max(y0, 60) : y1, max(x0, 300) : x1]
+        assert (still[inside] != drawn[inside]).mean() > 0.1
+        # The same hills, in the same light and colours: not as if moved by half a hill.
+        one, other = (gaussian_filter(image[inside].mean(axis=2), 2) for image in (still, drawn))
+        assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.85
+        assert np.abs(still[inside].mean(axis=(0, 1)) - drawn[inside].mean(axis=(0, 1))).max() < 20
+        assert not console(driver)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+def test_a_still_is_gone_when_a_user_moves_the_map(site, browser):
+    """Without the map's tiles, the still stays until somebody does something."""
+    with static_server(site) as server:
+        browser.get("about:blank")
+        browser.execute_cdp_cmd("Network.clearBrowserCache", {})
+        console(browser)
+        browser.execute_cdp_cmd("Network.enable", {})
+        browser.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*maplibre-gl-worker*"]})
+        try:
+            browser.get(f"{server.address}/")
+            wait_until(browser, "document.getElementById('still') && !!window.terrainMap")
+            ActionChains(browser).move_by_offset(500, 300).click().perform()
+            assert browser.execute_script("return document.getElementById('still')") is None
+        finally:
+            browser.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})

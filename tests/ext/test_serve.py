@@ -93,7 +93,7 @@ def test_the_stated_error_is_the_largest_distance_from_the_decoded_surface(hilly
         tile = tiling.rgb_tile(Globe(terrain), z, x, y)
         surface = RegularGridInterpolator((np.arange(65), np.arange(97)), terrain.read())
     longitudes, latitudes = pixel_centres(z, x, y)
-    drawn = heights_of(tile.png)
+    drawn = heights_of(tile.image)
     # Halfway between neighbours in a row; the mean of latitudes is not the middle's latitude.
     middles = (longitudes[:, :-1] + longitudes[:, 1:]) / 2, latitudes[:, 1:]
     means = (drawn[:, :-1] + drawn[:, 1:]) / 2
@@ -460,7 +460,7 @@ def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
     with terrainwave.open(path) as terrain:
         tile = tiling.rgb_tile(Globe(terrain), 6, *tile_at(6, 8.25, 46.2))
         deepest = terrain.read().min()
-    assert heights_of(tile.png).min() == -10000
+    assert heights_of(tile.image).min() == -10000
     assert -10000 - deepest - 30 < tile.error <= -10000 - deepest
 
 
@@ -483,7 +483,7 @@ def test_tiles_with_a_rim_continue_each_other(turned):
         z = 16
         x, y = tile_at(z, west, (south + north) / 2)
         whole = [tiling.rgb_tile(globe, z, x + k, y, 8) for k in range(3)]
-    drawn = np.hstack([heights_of(tile.png) for tile in whole if tile is not None])
+    drawn = np.hstack([heights_of(tile.image) for tile in whole if tile is not None])
     voids = np.hstack([tile.voids for tile in whole if tile is not None])
     seams = range(256, drawn.shape[1], 256)
     assert seams

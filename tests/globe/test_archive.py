@@ -42,8 +42,9 @@ def read_archive(path):
 @pytest.mark.parametrize(("transform", "crs"), [(UTM, "EPSG:32633"), (PACIFIC, "EPSG:4326")])
 def test_an_archive_holds_every_tile_that_has_terrain(tmp_path, transform, crs):
     twz, target = make_twz(tmp_path, transform, crs), tmp_path / "dem.pmtiles"
+    options = {"min_zoom": 6, "rim": 2, "attribution": "© somebody"}
     with terrainwave.open(twz) as terrain:
-        zooms = write_pmtiles(terrain, target, min_zoom=6, rim=2, attribution="© somebody")
+        zooms = write_pmtiles(terrain, target, image="png", **options)
         globe = Globe(terrain)
         found, header, metadata = read_archive(target)
         (z, *_), *_ = sorted(found, reverse=True)
@@ -51,7 +52,7 @@ def test_an_archive_holds_every_tile_that_has_terrain(tmp_path, transform, crs):
         assert (zooms[0].zoom, header["min_zoom"]) == (6, 6)
         assert sum(zoom.n_tiles for zoom in zooms) == len(found)
         for place, png in found.items():
-            assert png == rgb_tile(globe, *place, 2).png
+            assert png == rgb_tile(globe, *place, 2).image
         for z, x, y in list(found):
             beside = [(z, (x + 1) % 2**z, y), (z, x, y + 1)]
             assert all(at in found or rgb_tile(globe, *at, 2) is None for at in beside)
@@ -108,6 +109,10 @@ def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
         ("t.pmtiles", "--min-zoom 3 --max-zoom 2", "found --min-zoom 3, expected 0 … 2"),
         ("t.pmtiles", "--rim 9", "found --rim 9, expected a whole number, 0 … 8"),
         ("t.mbtiles", "", "expected a directory or a name that ends in .pmtiles"),
+        ("t", "--tile-size 512", "found --tile-size for a directory"),
+        ("t", "--image webp", "found --image for a directory"),
+        ("t", "--round-by-zoom", "found --round-by-zoom for a directory"),
+        ("t.pmtiles", "--tile-size 300", "found --tile-size 300, expected 256 or 512"),
     ],
 )
 def test_what_cannot_be_is_wrong_usage(tmp_path, target, options, line):
@@ -116,6 +121,15 @@ def test_what_cannot_be_is_wrong_usage(tmp_path, target, options, line):
     assert result.exit_code == 2, result.output
     assert line in result.stderr
     assert os.listdir(tmp_path) == ["dem.twz"]
+
+
+def test_pillow_without_webp_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr("PIL.features.check", lambda feature: feature != "webp")
+    twz = make_twz(tmp_path)
+    result = run("tiles", twz, tmp_path / "t.pmtiles")
+    assert result.exit_code == 1
+    assert "built without WebP: install one with it, or take --image png" in result.stderr
+    assert run("tiles", twz, tmp_path / "t.pmtiles", "--image", "png").exit_code == 0
 
 
 def test_a_raster_without_heights_has_no_archive(tmp_path):

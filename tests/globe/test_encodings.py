@@ -2,6 +2,7 @@
 
 import io
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
 from globe.test_archive import read_archive
 from PIL import Image
+from pmtiles.tile import TileType
+from scipy.ndimage import map_coordinates
 
 import terrainwave
 from terrainwave.cli import main
@@ -70,7 +73,7 @@ def test_pixels_are_those_of_the_encoding(tmp_path, encoding):
         with terrainwave.open(twz) as terrain:
             globe = Globe(terrain)
             tile = tiling.rgb_tile(globe, *middle_tile(globe), 0, tiling.Look(encoding))
-        assert (pixels_of(tile.png) == pixel).all(), height
+        assert (pixels_of(tile.image) == pixel).all(), height
         is_held = height >= -10000 or encoding == "terrarium"
         assert tile.error == pytest.approx(0 if is_held else 900, abs=1e-6)
         (tmp_path / "flat.twz").unlink()
@@ -84,7 +87,7 @@ def test_voids_are_transparent_if_asked_for_and_keep_their_colours(trench, rim):
         opaque = tiling.rgb_tile(globe, *at, rim, tiling.Look("terrarium"))
         clear = tiling.rgb_tile(globe, *at, rim, tiling.Look("terrarium", True))
         empty = pixels_of(tiling.void_tile(globe, tiling.Look("terrarium", True)))
-    colours, pixels = pixels_of(opaque.png), pixels_of(clear.png)
+    colours, pixels = pixels_of(opaque.image), pixels_of(clear.image)
     assert (colours == pixels[..., :3]).all()
     # 1 m below the lowest: -10,901 + 32,768 = 21,867 = 0x556B
     is_void = (colours == (0x55, 0x6B, 0)).all(axis=-1)
@@ -110,6 +113,137 @@ def test_an_archive_has_the_encoding_and_says_what_it_cannot_hold(tmp_path, tren
     tiles, _, metadata = read_archive(target)
     assert metadata["encoding"] == encoding
     assert all(pixels_of(png).shape[-1] == 4 for png in tiles.values())
+
+
+def heights_in(image, encoding):
+    """Return heights by the formulas of the encodings' authors."""
+    red, green, blue, *alpha = np.moveaxis(pixels_of(image).astype(float), -1, 0)
+    if encoding == "mapbox":
+        heights = -10000 + (red * 256 * 256 + green * 256 + blue) * 0.1
+    else:
+        heights = red * 256 + green + blue / 256 - 32768
+    return np.where(alpha[0] == 0, np.nan, heights) if alpha else heights
+
+
+def test_webp_and_png_have_the_same_pixels_and_say_which_they_are(tmp_path, plain):
+    made = {}
+    with terrainwave.open(plain) as terrain:
+        for image in ("webp", "png"):
+            options = {} if image == "webp" else {"image": image}  # the default
+            write_pmtiles(terrain, tmp_path / f"{image}.pmtiles", transparent_voids=True, **options)
+            made[image], header, metadata = read_archive(tmp_path / f"{image}.pmtiles")
+            assert header["tile_type"] == {"png": TileType.PNG, "webp": TileType.WEBP}[image]
+            assert metadata["format"] == image
+            assert {Image.open(io.BytesIO(one)).format.lower() for one in made[image].values()} == {
+                image
+            }
+    assert made["webp"].keys() == made["png"].keys()
+    for place, tile in made["webp"].items():
+        assert (pixels_of(tile) == pixels_of(made["png"][place])).all()
+    assert sum(map(len, made["webp"].values())) < 0.8 * sum(map(len, made["png"].values()))
+
+
+def test_a_tile_of_512_pixels_is_four_of_the_next_zoom(tmp_path, trench):
+    tiles, headers, last, encoding = {}, {}, {}, "terrarium"
+    with terrainwave.open(trench) as terrain:
+        for size in (256, 512):
+            target = tmp_path / f"{size}.pmtiles"
+            zooms = write_pmtiles(terrain, target, min_zoom=6, tile_size=size, encoding=encoding)
+            tiles[size], headers[size], metadata = read_archive(target)
+            assert metadata["tileSize"] == size
+            last[size] = zooms[-1].zoom
+    assert last[512] == headers[512]["max_zoom"] == last[256] - 1
+    compared = 0
+    for (z, x, y), tile in tiles[512].items():
+        pixels = pixels_of(tile)
+        assert pixels.shape == (512, 512, 3)
+        for row, col in np.ndindex(2, 2):
+            quarter = tiles[256].get((z + 1, 2 * x + col, 2 * y + row))
+            if z == last[512] and quarter is not None:
+                part = pixels[256 * row : 256 * (row + 1), 256 * col : 256 * (col + 1)]
+                assert (part == pixels_of(quarter)).all()
+                compared += 1
+    assert compared > 3
+
+
+def surface_of(heights, bounds, z, x, y, size):
+    """Return the bilinear surface of samples at a tile's pixels; NaN outside the outermost."""
+    west, south, east, north = bounds
+    at = (np.arange(size) + 0.5) / size
+    lon = (x + at) / 2**z * 360 - 180
+    lat = np.degrees(np.arctan(np.sinh(np.pi * (1 - 2 * (y + at) / 2**z))))
+    rows = (north - lat) / (north - south) * heights.shape[0] - 0.5
+    cols = (lon - west) / (east - west) * heights.shape[1] - 0.5
+    rows, cols = np.meshgrid(rows, cols, indexing="ij")
+    return map_coordinates(heights, [rows, cols], order=1, mode="constant", cval=np.nan)
+
+
+@pytest.mark.parametrize("encoding", ["mapbox", "terrarium"])
+@pytest.mark.parametrize(("max_error", "tile_size"), [(0, 256), (3, 512)])
+def test_no_pixel_is_further_from_the_original_than_its_zoom_states(
+    tmp_path, encoding, max_error, tile_size
+):
+    originals, target = hills(300, 400, seed=7) - 350, tmp_path / "a.pmtiles"
+    twz = write_twz(tmp_path, originals, BOUNDS, max_error=max_error)
+    args = ["tiles", str(twz), str(target), "--round-by-zoom", "--encoding", encoding, "--min-zoom",
+            "4", "--tile-size", str(tile_size), "--transparent-voids"]  # fmt: skip
+    done = CliRunner().invoke(main, args)
+    assert done.exit_code == 0, done.output
+    tiles, _, metadata = read_archive(target)
+    printed = {line.split()[0]: line.split() for line in done.stdout.splitlines()}
+    unit = 0.1 if encoding == "mapbox" else 1 / 256
+    steps = []
+    for zoom in metadata["zooms"]:
+        z, step, error = zoom["zoom"], zoom["step"], zoom["error"]
+        assert error == pytest.approx(step / 2 + zoom["terrain_error"])
+        assert printed[str(z)][3] == f"{step:g}"
+        assert float(printed[str(z)][-1]) == pytest.approx(error, rel=1e-4)
+        distances = []
+        for (_, x, y), tile in [one for one in tiles.items() if one[0][0] == z]:
+            drawn = heights_in(tile, encoding)
+            offsets = np.abs(drawn / step - np.rint(drawn / step))
+            assert offsets[np.isfinite(offsets)].max() < 1e-6  # zero is such a height, too
+            surface = surface_of(originals.astype(float), BOUNDS, z, x, y, tile_size)
+            distances.append(np.abs(drawn - surface))
+        largest = max(np.nanmax(one) for one in distances if np.isfinite(one).any())
+        assert step / 4 < largest <= error + 1e-6
+        # by hand: 2πa/2^z at the middle's latitude, a 64th of a pixel
+        pixel = 2 * np.pi * 6378137 * np.cos(np.radians(11.2)) / (tile_size << z)
+        wanted = min(max(max_error, unit) * 2 ** (metadata["zooms"][-1]["zoom"] - z), pixel / 64)
+        assert step == pytest.approx(unit * 2 ** max(np.floor(np.log2(wanted / unit)), 0))
+        steps.append(step)
+    assert steps == sorted(steps, reverse=True)
+    assert steps[0] > 8 * steps[-1]
+
+
+def test_the_error_of_a_zoom_has_what_the_encoding_cannot_hold(tmp_path, trench):
+    target = tmp_path / "a.pmtiles"
+    with terrainwave.open(trench) as terrain, warnings.catch_warnings(action="ignore"):
+        zooms = write_pmtiles(terrain, target, min_zoom=7, round_by_zoom=True)
+    # down to -10,900 m, and the encoding begins at -10,000 m
+    assert all(zoom.error - zoom.terrain_error == pytest.approx(900) for zoom in zooms)
+
+
+@pytest.mark.parametrize("encoding", ["mapbox", "terrarium"])
+def test_voids_lie_below_heights_that_are_rounded_down(tmp_path, encoding):
+    heights = np.maximum(hills(200, 200) - 400, 5)
+    heights[50:100, 50:100] = -9999
+    twz = write_twz(tmp_path, heights, BOUNDS, max_error=8, nodata=-9999)
+    look = {"encoding": encoding, "round_by_zoom": True}
+    found = {}
+    with terrainwave.open(twz) as terrain:
+        for is_clear in (False, True):
+            target = tmp_path / f"{is_clear}.pmtiles"
+            zooms = write_pmtiles(terrain, target, min_zoom=5, transparent_voids=is_clear, **look)
+            found[is_clear] = read_archive(target)[0]
+    assert any(5 % zoom.step > 0.5 for zoom in zooms)
+    for place, tile in found[False].items():
+        drawn, is_void = (
+            heights_in(tile, encoding),
+            np.isnan(heights_in(found[True][place], encoding)),
+        )
+        assert 0 < is_void.sum() < is_void.size
+        assert drawn[is_void].max() < drawn[~is_void].min()
 
 
 @pytest.mark.parametrize(("encoding", "height"), [("mapbox", -10_001), ("terrarium", 32_768)])
@@ -149,8 +283,8 @@ def test_a_server_has_one_encoding_and_answers_in_the_other_where_asked(trench):
             z, x, y = middle_tile(globe)
             look = tiling.Look("terrarium", True)
             expected = [
-                tiling.rgb_tile(globe, z, x, y, 0, look).png,
-                tiling.rgb_tile(globe, z, x, y, 2).png,
+                tiling.rgb_tile(globe, z, x, y, 0, look).image,
+                tiling.rgb_tile(globe, z, x, y, 2).image,
             ]
         answers = [client.get(one["tiles"][0].format(z=z, x=x, y=y)) for one in (told, other)]
         assert [answer.content for answer in answers] == expected

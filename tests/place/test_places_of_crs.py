@@ -159,7 +159,7 @@ def test_terrain_rgb_has_the_heights_of_its_pixels(case):
         assert rgb_tile(globe, z, int(x), 0) is None
         return
     tile = rgb_tile(globe, z, int(x), int(y))
-    pixels = np.asarray(Image.open(io.BytesIO(tile.png))).astype(np.int64)
+    pixels = np.asarray(Image.open(io.BytesIO(tile.image))).astype(np.int64)
     codes = pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2]
     at = (np.arange(256) + 0.5) / 256
     mercator = np.pi * (1 - 2 * (int(y) + at) / 2**z)

@@ -9,17 +9,26 @@ terrarium: height = -32768 + R * 256 + G + B / 256 (Mapzen Terrarium)
 import io
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_choice, check_flags
-from terrainwave.errors import InvalidArgumentError
+from terrainwave.arguments import check_choice, check_flags, checked_whole
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 
 TILE_SIZE = 256
+TILE_SIZES = (TILE_SIZE, 2 * TILE_SIZE)
+PNG, WEBP = "png", "webp"
+# Options of pillow by image format. `exact` keeps the colours of transparent pixels. Slower methods
+# of WebP gain 1 % on most rasters.
+TILE_IMAGES: dict[str, dict[str, Any]] = {
+    WEBP: {"lossless": True, "exact": True, "method": 1, "quality": 50},
+    PNG: {"compress_level": 4},
+}
+_PURPOSE = "a terrain-RGB tile"
 MAX_ZOOM = 22
 # The largest latitude of the square Web Mercator world.
 MAX_LATITUDE = math.degrees(math.atan(math.sinh(math.pi)))
@@ -30,6 +39,9 @@ MAX_RIM = 8
 ALL_VOID = np.full((TILE_SIZE, TILE_SIZE), 255, dtype=np.uint8)
 
 _HIGHEST_CODE = (1 << 24) - 1
+# A step of `Look.round_by_zoom` is at most this share of a pixel's size on the ground: it tilts a
+# slope between neighbours by 0.9 degrees at most.
+_STEP_SHARE = 1 / 64
 
 
 class Encoding(NamedTuple):
@@ -37,24 +49,35 @@ class Encoding(NamedTuple):
 
     name: str  # as in TileJSON and MapLibre's sources
     lowest: float  # the height of code 0
-    step: float  # from one code to the next; R is a code's highest byte, B its lowest
+    unit: float  # from one code to the next; R is a code's highest byte, B its lowest
+    # codes from one height to the next, a power of two: heights are multiples of `step`, 0 too
+    multiple: int = 1
+
+    @property
+    def step(self) -> float:
+        return self.unit * self.multiple
 
     @property
     def highest(self) -> float:
         """The height of the last code."""
-        return self.lowest + _HIGHEST_CODE * self.step
+        return self.lowest + _HIGHEST_CODE * self.unit
 
-    def holds(self, low: float, high: float) -> bool:
-        """Return whether heights from `low` to `high` are at most half a step from their codes'."""
-        half = self.step / 2
-        return self.lowest - half <= low and high <= self.highest + half
+    def beyond(self, low: float, high: float) -> float:
+        """Return how far heights from `low` to `high` lie outside the range, 0 at least."""
+        return max(self.lowest - low, high - self.highest, 0.0)
 
     def codes(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nearest codes of heights; NaN stays."""
-        return np.clip(np.rint((heights - self.lowest) / self.step), 0, _HIGHEST_CODE)
+        """Return the codes of the nearest heights; NaN stays."""
+        of_zero = round(-self.lowest / self.unit) % self.multiple
+        codes = ((heights - self.lowest) / self.unit - of_zero) / self.multiple
+        return np.clip(np.rint(codes) * self.multiple + of_zero, 0, _HIGHEST_CODE)
 
     def heights(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
-        return codes * self.step + self.lowest
+        return codes * self.unit + self.lowest
+
+    def rounded(self, most: float) -> "Encoding":
+        """Return the encoding with the largest step that is at most `most` metres."""
+        return self._replace(multiple=1 << max(math.floor(math.log2(most / self.unit)), 0))
 
 
 ENCODINGS = {
@@ -70,10 +93,23 @@ class Look(NamedTuple):
     encoding: str = MAPBOX  # one of `ENCODINGS`
     # pixels without heights have alpha 0, all others 255. Colours are not affected.
     transparent_voids: bool = False
+    tile_size: int = TILE_SIZE  # pixels along a side
+    image: str = PNG  # one of `TILE_IMAGES`
+    round_by_zoom: bool = False  # larger steps of heights on coarser zooms
 
     @property
     def voids(self) -> str:
         return "transparent" if self.transparent_voids else "height"
+
+    def pixels(self, globe: Globe, z: int) -> Encoding:
+        """Return the encoding of a zoom's heights, with its step."""
+        pixels = encoding_of(self.encoding)
+        if not self.round_by_zoom:
+            return pixels
+        most = max(globe.effective_error, pixels.unit)
+        most *= 2.0 ** (max_zoom(globe, self.tile_size) - z)
+        size = pixel_size(globe, z, _middle(globe), self.tile_size)
+        return pixels.rounded(min(most, size * _STEP_SHARE))
 
 
 PLAIN = Look()
@@ -91,7 +127,14 @@ def encoding_of(name: str) -> Encoding:
     return ENCODINGS[name]
 
 
-def look_of(*, encoding: str = MAPBOX, transparent_voids: bool = False) -> Look:
+def look_of(
+    *,
+    encoding: str = MAPBOX,
+    transparent_voids: bool = False,
+    tile_size: int = TILE_SIZE,
+    image: str = PNG,
+    round_by_zoom: bool = False,
+) -> Look:
     """Return a look of tiles.
 
     Parameters
@@ -100,21 +143,39 @@ def look_of(*, encoding: str = MAPBOX, transparent_voids: bool = False) -> Look:
         Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
     transparent_voids : bool
         Give pixels of voids alpha 0.
+    tile_size : {256, 512}
+        Pixels along a tile's side.
+    image : {"webp", "png"}
+        Lossless image format.
+    round_by_zoom : bool
+        Round heights to larger steps on coarser zooms: the encoding's step times the largest power
+        of two that is at most the file's bound on the finest zoom, twice as much on each coarser
+        one, and at most 1/64 of a pixel's size on the ground in the terrain's middle.
 
     Raises
     ------
     InvalidArgumentError
         If an option has none of its values.
+    TerrainwaveError
+        If pillow was built without WebP.
     """
-    check_flags(transparent_voids=transparent_voids)
-    return Look(encoding_of(encoding).name, transparent_voids)
+    check_flags(transparent_voids=transparent_voids, round_by_zoom=round_by_zoom)
+    tile_size = checked_whole("tile_size", tile_size, least=1)
+    if tile_size not in TILE_SIZES:
+        raise InvalidArgumentError(f"found `tile_size` {tile_size}, expected 256 or 512")
+    check_choice("image", image, TILE_IMAGES)
+    if image == WEBP and not need("PIL.features", extra="serve", purpose=_PURPOSE).check(WEBP):
+        raise TerrainwaveError(
+            "this pillow was built without WebP: install one with it, or take `image` png"
+        )
+    return Look(encoding_of(encoding).name, transparent_voids, tile_size, image, round_by_zoom)
 
 
 @dataclass(frozen=True)
 class RgbTile:
     """A terrain-RGB tile."""
 
-    png: bytes  # `TILE_SIZE` pixels square, RGB; RGBA if voids are transparent
+    image: bytes  # `Look.tile_size` pixels square, RGB; RGBA if voids are transparent
     # metres. Largest distance found between the tile's bilinear surface, in the steps of its
     # encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
     # pixels and halfway between them: resampling to Web Mercator and rounding.
@@ -123,7 +184,7 @@ class RgbTile:
     # samples (measured when the file was written, `Terrain.block_error`).
     terrain_error: float
     level: int  # the resolution level of the samples, counted from 0
-    # shape (TILE_SIZE, TILE_SIZE); void share of each pixel: 0 nothing, 255 all
+    # shape (tile_size, tile_size); void share of each pixel: 0 nothing, 255 all
     voids: NDArray[np.uint8]
 
 
@@ -146,23 +207,26 @@ def row_of(z: int, latitude: float) -> float:
     return (1 - math.asinh(math.tan(math.radians(latitude))) / math.pi) / 2 * (1 << z)
 
 
-def pixel_size(globe: Globe, z: int, latitude: float) -> float:
+def pixel_size(globe: Globe, z: int, latitude: float, tile_size: int = TILE_SIZE) -> float:
     """Return the size in metres of a tile's pixel at a latitude."""
     around = 2 * math.pi * globe.ellipsoid.axis
-    return around * math.cos(math.radians(latitude)) / (TILE_SIZE << z)
+    return around * math.cos(math.radians(latitude)) / (tile_size << z)
 
 
-def max_zoom(globe: Globe) -> int:
+def _middle(globe: Globe) -> float:
+    """Return the latitude of a terrain's middle."""
+    return (globe.extent.south + globe.extent.north) / 2
+
+
+def max_zoom(globe: Globe, tile_size: int = TILE_SIZE) -> int:
     """Return the first zoom whose pixels are not larger than the terrain's, in its middle."""
-    latitude = (globe.extent.south + globe.extent.north) / 2
-    zooms = range(MAX_ZOOM)
-    return next((z for z in zooms if pixel_size(globe, z, latitude) <= globe.pixel), MAX_ZOOM)
+    sizes = (pixel_size(globe, z, _middle(globe), tile_size) for z in range(MAX_ZOOM))
+    return next((z for z, size in enumerate(sizes) if size <= globe.pixel), MAX_ZOOM)
 
 
-def meets(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> bool:
-    """Return whether a tile is at most `rim` pixels away from the terrain's bounds."""
+def meets(globe: Globe, z: int, x: int, y: int, far: float = 0) -> bool:
+    """Return whether a tile is at most `far` tiles away from the terrain's bounds."""
     west, south, east, north = globe.extent
-    far = rim / TILE_SIZE
     if not row_of(z, north) - far < y + 1 or not row_of(z, south) + far > y:
         return False
     first, last = column_of(z, west) - far, column_of(z, east) + far
@@ -170,12 +234,12 @@ def meets(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> bool:
     return any(first < x + 1 + k * turn and last > x + k * turn for k in (-1, 0, 1))
 
 
-def level_for(globe: Globe, z: int, y: int) -> int:
+def level_for(globe: Globe, z: int, y: int, tile_size: int = TILE_SIZE) -> int:
     """Return the coarsest level that is not coarser than the tile's pixels, counted from 0."""
     _, south, _, north = globe.extent
     latitude = min(max(float(latitudes_of(z, np.array(y + 0.5))), south), north)
     latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
-    return globe.level_for(pixel_size(globe, z, latitude))
+    return globe.level_for(pixel_size(globe, z, latitude, tile_size))
 
 
 def rgb_tile(
@@ -209,23 +273,24 @@ def rgb_tile(
     -----
     A height depends only on its position and z, so that neighbouring tiles match.
     """
-    if not meets(globe, z, x, y, rim):
+    size = look.tile_size
+    if not meets(globe, z, x, y, rim / size):
         return None
-    level = level_for(globe, z, y)
+    level = level_for(globe, z, y, size)
     # Pixel centres are the odd positions of a grid twice as fine, on which errors are measured.
-    fine = np.arange(2 * (TILE_SIZE + 2 * rim) - 1) / (2 * TILE_SIZE) + (0.5 - rim) / TILE_SIZE
+    fine = np.arange(2 * (size + 2 * rim) - 1) / (2 * size) + (0.5 - rim) / size
     longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
     rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
     samples, window = globe.heights_at(rows, cols, level)
     around = samples.reshape(longitudes.shape)
     surface = _without(around, 2 * rim)
-    pixels = encoding_of(look.encoding)
+    pixels = look.pixels(globe, z)
     drawn = pixels.codes(_without(_grown(around[::2, ::2], rim), rim))
     if window is None or np.isnan(drawn).all():
         return None
     shown = pixels.heights(pixels.codes(surface[::2, ::2]))
     return RgbTile(
-        png=_png(drawn, _void_code(globe, pixels, void_height), look),
+        image=_image(drawn, _void_code(globe, pixels, void_height), look),
         error=_largest_distance(shown, surface),
         terrain_error=globe.heights_error(window),
         level=level,
@@ -234,14 +299,17 @@ def rgb_tile(
 
 
 def void_tile(globe: Globe, look: Look = PLAIN) -> bytes:
-    """Return the PNG of a terrain-RGB tile without terrain."""
-    codes = np.full((TILE_SIZE, TILE_SIZE), np.nan)
-    return _png(codes, _void_code(globe, encoding_of(look.encoding), None), look)
+    """Return the image of a terrain-RGB tile without terrain."""
+    codes = np.full((look.tile_size, look.tile_size), np.nan)
+    return _image(codes, _void_code(globe, encoding_of(look.encoding), None), look)
 
 
 def _void_code(globe: Globe, pixels: Encoding, void_height: float | None) -> float:
-    height = height_of_voids(globe) if void_height is None else void_height
-    return float(pixels.codes(np.array(height)))
+    """Return the code of voids: exact, below all heights of the tile unless told otherwise."""
+    exact = pixels._replace(multiple=1)
+    if void_height is None:
+        void_height = height_of_voids(globe) - (pixels.step - exact.step) / 2
+    return float(exact.codes(np.array(void_height)))
 
 
 def check_void_height(height: float, encoding: str) -> None:
@@ -258,11 +326,11 @@ def note_on_range(globe: Globe, encoding: str) -> str | None:
     """Return a note on heights of a terrain outside an encoding's range, or None."""
     low, high = globe.height_range
     pixels = encoding_of(encoding)
-    if pixels.holds(low, high):
+    if pixels.beyond(low, high) <= pixels.step / 2:
         return None
     is_low = low < pixels.lowest
     end, side = (pixels.lowest, "below") if is_low else (pixels.highest, "above")
-    others = [one.name for one in ENCODINGS.values() if one.holds(low, high)]
+    others = [one.name for one in ENCODINGS.values() if one.beyond(low, high) <= one.step / 2]
     advice = f"; `encoding` {others[0]} holds them" if others else ""
     return (
         f"heights reach from {low:.10g} to {high:.10g} m, and tiles of `encoding` {encoding} hold"
@@ -324,9 +392,9 @@ def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -
     return float(np.nanmax(distances)) if np.isfinite(distances).any() else 0.0
 
 
-def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
-    """Return a PNG of codes; NaN gets the code `void`, and alpha 0 if voids are transparent."""
-    image = need("PIL.Image", extra="serve", purpose="a terrain-RGB tile")
+def _image(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
+    """Return an image of codes; NaN gets the code `void`, and alpha 0 if voids are transparent."""
+    image = need("PIL.Image", extra="serve", purpose=_PURPOSE)
     is_void = np.isnan(codes)
     whole = np.where(is_void, void, codes).astype(np.uint32)
     parts = [whole >> 16, whole >> 8 & 255, whole & 255]
@@ -335,7 +403,7 @@ def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
     pixels = np.stack(parts, axis=-1).astype(np.uint8)
     out = io.BytesIO()
     mode = "RGBA" if look.transparent_voids else "RGB"
-    image.fromarray(pixels, mode).save(out, "PNG", compress_level=4)
+    image.fromarray(pixels, mode).save(out, look.image, **TILE_IMAGES[look.image])
     return out.getvalue()
 
 

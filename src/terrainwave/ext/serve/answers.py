@@ -162,7 +162,7 @@ class Answers:
             return Response(status_code=204, headers=headers)
         headers["X-Tile-Error"] = f"{tile.error:.3f}"
         headers["X-Terrain-Error"] = f"{tile.terrain_error:.3f}"
-        return Response(tile.png, media_type="image/png", headers=headers)
+        return Response(tile.image, media_type="image/png", headers=headers)
 
     async def _voids(
         self,

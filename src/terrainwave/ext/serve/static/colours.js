@@ -5,8 +5,14 @@ const LOWEST = { mapbox: -10000, terrarium: -32768 };
 // Tiles have voids this many metres below the terrain's lowest height.
 const VOID_DEPTH = 1;
 const N_TICKS = 4;
+const PLAIN = "#cfc8b8"; // terrain without colours by height
 // Of the legend's length: ticks nearer to an end than this would cover its label.
 const NEAR_END = 0.3;
+
+/** Return [[height, colour], …] of a terrain in colours by this name, or in its own. */
+export function stopsOf({ ramp, ramps, lowest }, colours) {
+  return ramps[colours ?? ramp] ?? [[lowest, PLAIN], [lowest + 1, PLAIN]];
+}
 
 /** Return a color-relief-color expression of [[height, colour], …]; what is below them is clear. */
 export function reliefOf(stops, encoding) {

@@ -5,21 +5,17 @@
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl, addProtocol, setWorkerUrl } from "./maplibre/maplibre-gl.js";
-import { gradientOf, reliefOf, ticksOf, withUnit, written } from "./colours.js";
+import { gradientOf, reliefOf, stopsOf, ticksOf, withUnit, written } from "./colours.js";
 import { copyable } from "./copying.js";
+import { homeOf, isNarrow } from "./home.js";
 import * as host from "./host.js";
 
 // It would look for npm's name, which ends in .mjs: many hosts do not know that ending.
 setWorkerUrl(String(new URL("./maplibre/maplibre-gl-worker.js", import.meta.url)));
 
 const ASKING = "Point at the terrain or tap it for a height.";
-const PITCH = 62;
-// Of the width: what is left free on both sides, as the near edge is wider than the middle.
-const SPREAD = 0.12;
-const BESIDE_PANEL = 260;
 const DEGREES_PER_SECOND = 6;
 const GROUND = "#dbe4e8";
-const PLAIN = "#cfc8b8"; // terrain without colours by height
 // Pixels by which tiles go on beyond the terrain, under the paint of its voids: the mesh of the map
 // has a vertex at each second pixel, which reads its neighbours.
 const RIM = 4;
@@ -28,7 +24,6 @@ const AROUND = 0.02;
 const MILLISECONDS_BETWEEN_HEIGHTS = 80;
 
 const element = (id) => document.getElementById(id);
-const isNarrow = window.matchMedia("(max-width: 600px)").matches;
 // Colours that nobody chose are those of the terrain.
 const state = { terrain: null, times: 1, colours: null, shaded: true };
 let terrains = [];
@@ -96,7 +91,7 @@ function styleOf({ terrain, times, shaded }) {
       { id: "ground", type: "background", paint: { "background-color": GROUND } },
       {
         id: "tints", type: "color-relief", source: "shading",
-        paint: { "color-relief-color": reliefOf(stopsOf(state), encoding) },
+        paint: { "color-relief-color": reliefOf(stopsOf(terrain, state.colours), encoding) },
       },
       {
         id: "shading", type: "hillshade", source: "shading",
@@ -112,10 +107,6 @@ function coloursOf({ terrain, colours }) {
   return colours ?? terrain.ramp;
 }
 
-function stopsOf({ terrain }) {
-  return terrain.ramps[coloursOf(state)] ?? [[terrain.lowest, PLAIN], [terrain.lowest + 1, PLAIN]];
-}
-
 /** Give the map what of `state` can change while a terrain is shown. */
 function apply() {
   element("times").value = state.times;
@@ -126,7 +117,7 @@ function apply() {
   showLegend();
   if (styled === generation) { // otherwise the style on its way gets it
     map.setTerrain({ source: "heights", exaggeration: state.times });
-    const relief = reliefOf(stopsOf(state), state.terrain.encoding);
+    const relief = reliefOf(stopsOf(state.terrain, state.colours), state.terrain.encoding);
     map.setPaintProperty("tints", "color-relief-color", relief);
     map.setLayoutProperty("shading", "visibility", state.shaded ? "visible" : "none");
   }
@@ -158,14 +149,9 @@ export function add(terrain) {
 }
 
 function home(terrain) {
-  const [west, south, east, north] = terrain.bounds;
-  const left = isNarrow || !element("panel").open ? 0 : BESIDE_PANEL;
-  const free = SPREAD * (element("map").clientWidth - left);
+  const { bounds, pitch, left, padding } = homeOf(terrain, element("map"), element("panel").open);
   map.setPadding({ left, top: 0, right: 0, bottom: 0 });
-  map.fitBounds([[west, Math.max(south, -85)], [east, Math.min(north, 85)]], {
-    pitch: east - west > 90 ? 0 : PITCH, bearing: 0, animate: false,
-    padding: { left: free, right: free, top: 50, bottom: 50 },
-  });
+  map.fitBounds(bounds, { pitch, bearing: 0, animate: false, padding });
 }
 
 // The panel. Texts of files are untrusted: they are set as text, never as HTML.
