@@ -37,8 +37,8 @@ _READER = ("src", "map")
 _PART = 8 << 20
 _END_OF_HEAD, _SELECTION, _DESCRIPTION = "</head>", '<select id="terrain"', '<p id="about"></p>'
 # The part of js/ with the site's page, whose file of controls has two parts.
-_SITE, _HEADING = "<summary>terrainwave"
-_BETWEEN = "site", "<!-- below the description -->"
+_HEADING = "<summary>terrainwave"
+_SITE, _BETWEEN = "site", "<!-- below the description -->"
 # Pictures in style sheets are data; visitors may name a file on another server.
 _SITE_POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
