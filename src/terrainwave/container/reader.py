@@ -38,8 +38,7 @@ from terrainwave.container.page import (
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.cut_file import CutFile
-from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.rounds import RoundReader
+from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -247,14 +246,12 @@ class Container:
         heads = {key: self._head_of(key) for key in keys}
         known = self._known_segments(heads.values())
         reader = self.rounds()
-        pages: list[ByteRange] = []
         with self._blaming_change():
             while missing := self._next_segments(heads.values(), known):
                 places = {head: parent.page_range(head) for head, parent in missing.items()}
                 here = {head: place for head, place in places.items() if reader.has(place)}
                 if not here:  # otherwise they may locate more to fetch
-                    pages += places.values()
-                    reader.fetch([*pages, *_payload_places(heads, known).values()])
+                    reader.fetch([*places.values(), *_payload_places(heads, known).values()])
                 loaded: dict[Block | None, Segment] = {
                     head: self._unpack_segment(head, missing[head], reader.take(place))
                     for head, place in (here or places).items()
@@ -262,7 +259,7 @@ class Container:
                 self._keep(loaded)
                 known.update(loaded)
             of_payloads = _payload_places(heads, known)
-            reader.fetch([*pages, *of_payloads.values()])
+            reader.fetch(of_payloads.values())
             payloads = {key: reader.take(place) for key, place in of_payloads.items()}
             n_bytes = sum(map(len, payloads.values()))
             _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)

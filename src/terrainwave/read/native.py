@@ -9,7 +9,7 @@ import logging
 import os
 import threading
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
 from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
-from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region
 
@@ -273,7 +273,7 @@ class NativeFile:
         self._finalizer = weakref.finalize(self, handles.free)
         self._finalizer.atexit = False
         try:
-            self._fetch(_Rounds(self._container), "file", handles.file)
+            self._fetch(self._container.rounds(), "file", handles.file)
         except NativeError as error:
             self._finalizer()
             self._refusal = error
@@ -283,7 +283,7 @@ class NativeFile:
             raise
         return handles
 
-    def _fetch(self, rounds: "_Rounds", kind: str, handle: Any) -> None:
+    def _fetch(self, rounds: RoundReader, kind: str, handle: Any) -> None:
         """Give a file or a window the bytes it needs, all in one request a round."""
         while wanted := self._library.needed(f"twz_{kind}_need", handle):
             # Pages that are here may tell more of what is to be fetched.
@@ -306,7 +306,7 @@ class NativeFile:
         with self._opened(is_large=is_large) as handles:
             for whole in self._parts(level, region, _MOST_FETCHED):
                 parts = list(self._parts(level, whole, most))
-                rounds = _Rounds(self._container)
+                rounds = self._container.rounds()
                 if len(parts) > 1:
                     with self._window(handles, level, whole) as window:
                         self._fetch(rounds, "window", window)
@@ -340,7 +340,7 @@ class NativeFile:
             points = self._library.make("twz_points_new", handles.file, ctypes.byref(asked))
             try:
                 while n_left.value:
-                    self._fetch(_Rounds(self._container), "points", points)
+                    self._fetch(self._container.rounds(), "points", points)
                     with handles.lent_workers() as workers:
                         self._library.call(
                             "twz_points_decode", points, workers, ctypes.byref(n_left)
@@ -405,17 +405,3 @@ class NativeFile:
         if is_own:
             library.call("twz_window_read_own", window, valid.ctypes.data, 0)
         return valid
-
-
-class _Rounds:
-    """Bytes of a file that are fetched in rounds, and stay until the last."""
-
-    def __init__(self, container: Container) -> None:
-        self._reader = container.rounds()
-        self._known: list[ByteRange] = []
-        self.take, self.has = self._reader.take, self._reader.has
-
-    def fetch(self, wanted: Sequence[ByteRange]) -> None:
-        """Fetch what is not here yet of what is wanted."""
-        self._known += wanted
-        self._reader.fetch(self._known)
