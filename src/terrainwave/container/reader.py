@@ -37,7 +37,6 @@ from terrainwave.container.page import (
 )
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
-from terrainwave.container.sources.cut_file import CutFile
 from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
@@ -94,6 +93,8 @@ class Container:
                 " (decompress --on-error mask) reads what is there"
             )
         if self.n_missing:
+            from terrainwave.container.sources.cut_file import CutFile  # sound files need none
+
             source = CutFile(source, extents.file_size)
         self.source = source
         if source.size > extents.file_size:
@@ -333,11 +334,7 @@ class Container:
         if not self.grid.contains(block):
             raise KeyError(f"the grid has no {block}")
         head = None if block.level == 0 else self.grid.segment_head(block.parent)
-        segment = self.segment(head)
-        z_min, z_max, error, mesh_error = segment.page.codes[
-            segment.layout.block_rows[block]
-        ].tolist()
-        return z_min, z_max, error, mesh_error
+        return self.segment(head).codes(block)
 
     def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
         heads = [self._head_of(key) for key in keys]

@@ -90,17 +90,18 @@ class TerrainFile(DescribedFile):
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.read.tile_decoder import make_decoder
+        from terrainwave.read.window_reader import make_decoder
 
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
     def _windows(self) -> "WindowReader":
-        from terrainwave.read.native import NativeFile
         from terrainwave.read.window_reader import WindowReader
 
         library, native = self._library(), None
         if library is not None:
+            from terrainwave.read.native import NativeFile
+
             native = NativeFile(
                 library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
             )
@@ -120,10 +121,11 @@ class TerrainFile(DescribedFile):
         return self._library() is not None
 
     def _library(self) -> "Library | None":
+        if not self._may_be_native or self.container.n_missing:
+            return None
         from terrainwave.read import native
 
-        is_fit = self._may_be_native and not self.container.n_missing
-        return native.installed() if is_fit and native.is_wanted() else None
+        return native.installed() if native.is_wanted() else None
 
     def info(self) -> Info:
         """Return a summary of the file, only from its header."""

@@ -13,6 +13,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
+from terrainwave.raster_io.raster_info import stored_nodata
 
 
 class RasterBackend:
@@ -39,6 +40,8 @@ class RasterBackend:
     earlier: EarlierLoss | None = None
     told: Told | None
     came_from: str | None = None
+    # Whether any raster of several says what its numbers mean.
+    is_told = False
 
     def notes(self) -> Iterator[str]:
         """Yield notes on omissions and choices, one sentence each."""
@@ -68,6 +71,17 @@ class RasterBackend:
     def even(self, region: Region) -> Even | None:  # noqa: ARG002
         """Return the content of a region if the index gives it; None if only reading can tell."""
         return None
+
+    def declared_voids(self, window: Region, heights: NDArray[Any]) -> NDArray[np.bool_]:  # noqa: ARG002
+        """Return which heights of a window have one of the values of `undeclared`."""
+        return np.isin(heights, [stored_nodata(value, self.dtype) for value in self.undeclared])
+
+    def parts(
+        self,
+        max_samples: int,  # noqa: ARG002
+    ) -> Iterator[tuple[str, Told, Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]]]:
+        """Yield the name, own meaning and windows of each raster, if there are several."""
+        return iter(())
 
     def again(self) -> "RasterBackend | None":
         """Return the raster opened again for another thread; None if the file may have changed."""

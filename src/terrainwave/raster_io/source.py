@@ -36,13 +36,11 @@ from terrainwave.place.meaning import (
     settled_kind,
 )
 from terrainwave.place.units import in_metres
-from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
-from terrainwave.raster_io.mosaic import MosaicBackend, check_radii
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
@@ -257,7 +255,7 @@ class RasterSource:
         low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
         metres = self._in_metres((minimum, maximum), info.crs)
         is_mixed = may_have_radii(info.crs, metres) and not are_radii(info.crs, [metres])
-        if is_mixed or (isinstance(self._backend, MosaicBackend) and self._backend.is_told):
+        if is_mixed or self._backend.is_told:
             self._refuse_some_radii(info.crs)
         told = self.told or Told()
         is_unsure = told.kind is not None and told.is_name and low < 0
@@ -291,13 +289,15 @@ class RasterSource:
         """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
         found = list[tuple[str, Told]]()
         with self._readers.lent() as backend:
-            parts = backend.parts(_SCAN_SAMPLES) if isinstance(backend, MosaicBackend) else ()
-            for name, told, windows in parts:
+            for name, told, windows in backend.parts(_SCAN_SAMPLES):
                 metres = (self._in_metres(ends, crs_text) for ends in _ends(windows))
                 kind = by_numbers(told, crs_text, metres)
                 if kind is not None:
                     found.append((name, kind))
-        check_radii(found, crs_text)
+        if found:
+            from terrainwave.raster_io.mosaic import check_radii
+
+            check_radii(found, crs_text)
 
     def _in_metres(self, ends: tuple[float, float], crs_text: str | None) -> tuple[float, float]:
         info = self.info
@@ -393,10 +393,7 @@ class RasterSource:
             return None
         heights, valid = self.read(*region)
         with self._readers.lent() as backend:
-            if isinstance(backend, MosaicBackend):
-                return valid & backend.declared_voids(region)
-        values = [stored_nodata(value, self._dtype) for value in self._backend.undeclared]
-        return valid & np.isin(heights, values)
+            return valid & backend.declared_voids(region, heights)
 
     @property
     def undeclared_values(self) -> tuple[int | float, ...]:
@@ -515,10 +512,14 @@ class _Opening:
                         f"found `georeference` False and {len(source)} rasters, expected one: a"
                         " mosaic is put together by their places"
                     )
+                from terrainwave.raster_io.mosaic import MosaicBackend
+
                 return MosaicBackend(source, self._raster, self.nodata, self.heights_are)
             source = source[0]
         if self._is_raster(source):
             return self._raster(source)
+        from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
+
         if isinstance(source, np.ndarray):
             return ArrayBackend(source)
         if hasattr(source, "dims") and hasattr(source, "coords"):

@@ -18,11 +18,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.depot import Depot, store_segments
 from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
+from terrainwave.container.spool import StoredSegment
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.writer import store_segments
 from terrainwave.errors import StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan

@@ -37,7 +37,7 @@ from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
-from terrainwave.mesh.blocks import has_mesh
+from terrainwave.mesh.codes import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.passes.found import Ancestor, Found, Start, Stats
 from terrainwave.write.passes.resuming import KeptUnits

@@ -21,10 +21,11 @@ from terrainwave.errors import BoundViolationError, CorruptStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders
-from terrainwave.mesh.blocks import measure_meshes, mesh_codes, unmeasured_codes
+from terrainwave.mesh.blocks import measure_meshes
+from terrainwave.mesh.codes import mesh_codes, unmeasured_codes
 from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
-from terrainwave.read.tile_decoder import make_decoder
+from terrainwave.read.window_reader import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes, set_codes
 from terrainwave.write.encoder import TreeEncoder, distance_of
 from terrainwave.write.passes.bench import Bench
