@@ -20,17 +20,16 @@ from terrainwave.arguments import (
 )
 from terrainwave.errors import InvalidArgumentError, LimitExceededError
 from terrainwave.file.described import DescribedFile
-from terrainwave.file.info import Info, info_of
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
-from terrainwave.place.position import longitude_turn
-from terrainwave.read.lost import Lost
 from terrainwave.read.places import places_of, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
+    from terrainwave.file.info import Info
     from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
+    from terrainwave.read.lost import Lost
     from terrainwave.read.native import Library
     from terrainwave.read.window_reader import WindowReader
 
@@ -127,8 +126,10 @@ class TerrainFile(DescribedFile):
 
         return native.installed() if native.is_wanted() else None
 
-    def info(self) -> Info:
+    def info(self) -> "Info":
         """Return a summary of the file, only from its header."""
+        from terrainwave.file.info import info_of
+
         return info_of(self)
 
     def read(
@@ -256,7 +257,7 @@ class TerrainFile(DescribedFile):
         return on_error
 
     @property
-    def lost(self) -> list[Lost]:
+    def lost(self) -> "list[Lost]":
         """Return the damaged blocks that reads have left void so far, coarse levels first.
 
         Each is ``(level, window, problem)``, with the window in samples of the level:
@@ -338,6 +339,8 @@ class TerrainFile(DescribedFile):
             NaN outside the outermost samples and where a sample needed is void. The error bound
             holds at samples, not between them.
         """
+        from terrainwave.place.position import longitude_turn
+
         places = places_of(points)
         check_choice("voids", voids, VOIDS)
         index, turn = self.level_index(level), longitude_turn(self.crs)

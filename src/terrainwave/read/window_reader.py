@@ -30,9 +30,9 @@ from terrainwave.grid.remainders import restored
 from terrainwave.names import METHODS
 from terrainwave.read.decoder import TreeDecoder, unit_key, units_of
 from terrainwave.read.fetched import Payloads
-from terrainwave.read.lost import Lost
 
 if TYPE_CHECKING:
+    from terrainwave.read.lost import Lost
     from terrainwave.read.native import NativeFile
 
 _log = logging.getLogger(__name__)
@@ -116,8 +116,10 @@ class WindowReader:
             self._native.close()
 
     @property
-    def lost(self) -> list[Lost]:
+    def lost(self) -> "list[Lost]":
         """Return the damaged units that reads have left void, coarse levels first."""
+        from terrainwave.read.lost import Lost
+
         found = []
         for key, problem in sorted(self._problems.copy().items()):
             if key.is_root_key:

@@ -23,7 +23,7 @@ from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.found import Stats
-from terrainwave.write.passes.proof import collected, compared, comparison_of, measured_error
+from terrainwave.write.passes.proof import collected, compared, comparison_of
 from terrainwave.write.passes.resuming import KeptUnits, is_by_heights, same_heights
 from terrainwave.write.passes.windows import Windows, check_free_space
 from terrainwave.write.pyramid import Pyramid
@@ -154,9 +154,9 @@ class LocalPasses:
             comparison_of(path, job, self.windows, count) as comparison,
         ):
             found = compared(path, comparison.shares(self.windows), comparison.all, self.bench)
-            largest, tiles = collected(found, (grid.n_rows, grid.n_cols))
+            proved = collected(found, (grid.n_rows, grid.n_cols), job.quantizer)
         count(grid.n_rows * grid.n_cols)  # voids, and what an earlier run has compared
-        return measured_error(largest, job.quantizer), tiles
+        return proved
 
     def close(self) -> None:
         if self._windows is not None:
