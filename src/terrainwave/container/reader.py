@@ -93,7 +93,7 @@ class Container:
                 " (decompress --on-error mask) reads what is there"
             )
         if self.n_missing:
-            from terrainwave.container.sources.cut_file import CutFile  # sound files need none
+            from terrainwave.container.sources.zip_member import CutFile  # sound files need none
 
             source = CutFile(source, extents.file_size)
         self.source = source

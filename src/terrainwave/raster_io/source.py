@@ -38,7 +38,6 @@ from terrainwave.place.meaning import (
 from terrainwave.place.units import in_metres
 from terrainwave.raster_io.backend import RasterBackend, Readers
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.raster_info import (
@@ -119,6 +118,14 @@ class RasterSource:
         Meaning of the numbers by the metadata; None for plain arrays.
     is_asked : bool
         `heights_are` was given.
+    is_file : bool
+        Windows are decoded from a file.
+    earlier : EarlierLoss or None
+        The earlier loss of heights from .twz files, the largest of several.
+    came_from : str or None
+        The .twz file that an array names as its source.
+    undeclared_values : tuple of (int or float)
+        Values that sources declare void, but `nodata` does not.
     is_striped : bool
         True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
         times cheaper than small windows.
@@ -173,6 +180,11 @@ class RasterSource:
         for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
+        backend = self._backend
+        self.earlier, self.came_from = backend.earlier, backend.came_from
+        self.undeclared_values: tuple[int | float, ...] = tuple(backend.undeclared)
+        self.is_file, block_cols = backend.is_file, backend.block_shape[1]
+        self.is_striped = self.is_file and block_cols >= self.info.n_cols > _NARROW_COLS
 
     def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
         """Return the file's nodata value; store the other values that mark voids."""
@@ -311,27 +323,6 @@ class RasterSource:
             n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
         return 2 * n_below > n_valid
 
-    @property
-    def earlier(self) -> EarlierLoss | None:
-        """Return the earlier loss of heights from .twz files, the largest of several; else None."""
-        return self._backend.earlier
-
-    @property
-    def came_from(self) -> str | None:
-        """Return the .twz file that an array names as its source, if any."""
-        return self._backend.came_from
-
-    @property
-    def is_file(self) -> bool:
-        """Return whether windows are decoded from a file."""
-        return self._backend.is_file
-
-    @property
-    def is_striped(self) -> bool:
-        """Return whether a narrow window makes the source decode whole rows of blocks."""
-        block_cols = self._backend.block_shape[1]
-        return block_cols >= self.info.n_cols > _NARROW_COLS and self.is_file
-
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
 
@@ -394,11 +385,6 @@ class RasterSource:
         heights, valid = self.read(*region)
         with self._readers.lent() as backend:
             return valid & backend.declared_voids(region, heights)
-
-    @property
-    def undeclared_values(self) -> tuple[int | float, ...]:
-        """Return the values that sources declare void, but `nodata` does not."""
-        return tuple(self._backend.undeclared)
 
     def holds(self, region: Region, even: Even) -> bool:
         """Read corners and middle of a region; return whether they match the index."""

@@ -43,45 +43,24 @@ _BILINEAR = 0  # of twz_interpolation
 _MOST_RANGES = 256
 
 
-class _Options(ctypes.Structure):
-    _fields_ = [
-        ("size", ctypes.c_size_t),
-        ("allocator", ctypes.c_void_p * _N_POINTERS),
-        ("locks", ctypes.c_void_p * _N_POINTERS),
-        ("cache_bytes", ctypes.c_uint64),
-        ("max_bytes", ctypes.c_uint64),
-        ("kernels", ctypes.c_int),
-    ]
+def _structure(**members: Any) -> Any:
+    """Return a structure of the library; members in their order, with their types."""
+    return type("_Structure", (ctypes.Structure,), {"_fields_": [*members.items()]})
 
 
-class _Range(ctypes.Structure):
-    _fields_ = [
-        ("offset", ctypes.c_uint64),
-        ("length", ctypes.c_uint64),
-        ("is_page", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint64),
-    ]
-
-
-class _Box(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_uint32) for name in ("row", "col", "n_rows", "n_cols")]
-
-
-class _PointsRequest(ctypes.Structure):
-    _fields_ = [
-        ("size", ctypes.c_size_t),
-        ("level", ctypes.c_int),
-        ("interpolation", ctypes.c_int),
-        ("is_own", ctypes.c_int),
-        ("n_points", ctypes.c_size_t),
-        ("rows", ctypes.c_void_p),
-        ("cols", ctypes.c_void_p),
-        ("heights", ctypes.c_void_p),
-        ("valid", ctypes.c_void_p),
-    ]
-
-
+_U64, _U32, _INT = ctypes.c_uint64, ctypes.c_uint32, ctypes.c_int
 _POINTER, _SIZE, _STRIDE = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_ssize_t
+_POINTERS = _POINTER * _N_POINTERS
+_Options = _structure(
+    size=_SIZE, allocator=_POINTERS, locks=_POINTERS, cache_bytes=_U64, max_bytes=_U64, kernels=_INT
+)
+_Range = _structure(offset=_U64, length=_U64, is_page=_U64, reserved=_U64)
+_Box = _structure(row=_U32, col=_U32, n_rows=_U32, n_cols=_U32)
+_PointsRequest = _structure(
+    size=_SIZE, level=_INT, interpolation=_INT, is_own=_INT, n_points=_SIZE, rows=_POINTER,
+    cols=_POINTER, heights=_POINTER, valid=_POINTER,
+)  # fmt: skip
+
 _HANDLE = ctypes.POINTER(ctypes.c_void_p)
 _N = ctypes.POINTER(ctypes.c_size_t)
 _RANGES, _BOX = map(ctypes.POINTER, (_Range, _Box))
@@ -155,9 +134,8 @@ class _Handles:
             if self.locks is None:
                 raise MemoryError("no memory for locks")
             options = _Options(ctypes.sizeof(_Options))
-            pointers = ctypes.c_void_p * _N_POINTERS
-            options.allocator = pointers.from_address(library.allocator)
-            options.locks = pointers.from_address(self.locks)
+            options.allocator = _POINTERS.from_address(library.allocator)
+            options.locks = _POINTERS.from_address(self.locks)
             options.cache_bytes, options.max_bytes = self.cache_bytes, _MAX_BYTES
             self.file = library.make("twz_file_new", ctypes.byref(options), size)
             if n_threads > 1:
