@@ -1,8 +1,6 @@
-"""`RasterBackend`: a raster behind a source; `Readers`: one raster in several threads."""
+"""`RasterBackend`: a raster behind a source."""
 
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -89,44 +87,3 @@ class RasterBackend:
 
     def close(self) -> None:
         """Close the file, unless it belongs to the caller."""
-
-
-class Readers:
-    """A raster, opened again for each further thread that reads it.
-
-    If it cannot be opened again, threads take turns.
-    """
-
-    def __init__(self, first: RasterBackend) -> None:
-        self._first = first
-        self._lock = threading.Lock()
-        self._others: list[RasterBackend] = []
-        self._idle: list[RasterBackend] = []
-
-    @contextmanager
-    def lent(self) -> Iterator[RasterBackend]:
-        """Yield a reader for the use of one thread."""
-        other = None
-        if not self._lock.acquire(blocking=False):
-            other = self._other()
-            if other is None:
-                self._lock.acquire()
-        try:
-            yield self._first if other is None else other
-        finally:
-            if other is None:
-                self._lock.release()
-            else:
-                self._idle.append(other)
-
-    def _other(self) -> RasterBackend | None:
-        with suppress(IndexError):
-            return self._idle.pop()
-        other = self._first.again()
-        if other is not None:
-            self._others.append(other)
-        return other
-
-    def close(self) -> None:
-        for backend in (self._first, *self._others):
-            backend.close()

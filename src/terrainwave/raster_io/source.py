@@ -5,6 +5,7 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -36,7 +37,7 @@ from terrainwave.place.meaning import (
     settled_kind,
 )
 from terrainwave.place.units import in_metres
-from terrainwave.raster_io.backend import RasterBackend, Readers
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
@@ -168,7 +169,10 @@ class RasterSource:
         if heights_are is not None:
             self.told = Told(heights_are, "`heights_are`")
         self.is_asked = heights_are is not None
-        self._readers = Readers(self._backend)
+        # Opened again for each further thread that reads it.
+        self._first_free = threading.Lock()
+        self._others: list[RasterBackend] = []
+        self._idle: list[RasterBackend] = []
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -300,7 +304,7 @@ class RasterSource:
     def _refuse_some_radii(self, crs_text: str | None) -> None:
         """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
         found = list[tuple[str, Told]]()
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             for name, told, windows in backend.parts(_SCAN_SAMPLES):
                 metres = (self._in_metres(ends, crs_text) for ends in _ends(windows))
                 kind = by_numbers(told, crs_text, metres)
@@ -322,6 +326,30 @@ class RasterSource:
             n_valid += int(valid.sum())
             n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
         return 2 * n_below > n_valid
+
+    @contextmanager
+    def _lent(self) -> Iterator[RasterBackend]:
+        """Yield a reader for one thread; they take turns if it cannot be opened again."""
+        other = None
+        if not self._first_free.acquire(blocking=False):
+            other = self._other()
+            if other is None:
+                self._first_free.acquire()
+        try:
+            yield self._backend if other is None else other
+        finally:
+            if other is None:
+                self._first_free.release()
+            else:
+                self._idle.append(other)
+
+    def _other(self) -> RasterBackend | None:
+        with suppress(IndexError):
+            return self._idle.pop()
+        other = self._backend.again()
+        if other is not None:
+            self._others.append(other)
+        return other
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
@@ -347,7 +375,7 @@ class RasterSource:
 
     def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         interrupts.check()
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             heights, valid = backend.read(row, col, n_rows, n_cols)
         with self._counting:
             self.n_bytes_read += heights.nbytes
@@ -363,7 +391,7 @@ class RasterSource:
 
         None if the source's index does not give it.
         """
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             even = backend.even(region)
         if even is None or not even.is_valid:
             return even
@@ -383,7 +411,7 @@ class RasterSource:
         if not self._backend.undeclared:
             return None
         heights, valid = self.read(*region)
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             return valid & backend.declared_voids(region, heights)
 
     def holds(self, region: Region, even: Even) -> bool:
@@ -437,7 +465,8 @@ class RasterSource:
 
     def close(self) -> None:
         """Close files that were opened here."""
-        self._readers.close()
+        for backend in (self._backend, *self._others):
+            backend.close()
 
     def __enter__(self) -> Self:
         return self
