@@ -108,11 +108,8 @@ class Container:
         self.extents: Extents = extents
         self.header: Header = _with_sections(header, extents, start)
         self.grid: Grid = self.header.grid
+        self._segments_end = extents.file_size - SMALLEST_DIGESTS * header.has_digests
         self._top = self._unpack_top(start[extents.top_start : end])
-
-    @property
-    def _segments_end(self) -> int:
-        return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
 
     def _unpack_top(self, data: bytes) -> Segment:
         start = self.extents.top_start

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS, check_choice, check_vertical, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export import FRAMES
 from terrainwave.export.curvature import GlobeWay, curvature, mesh_unit, way_onto_globe
+from terrainwave.export.shapes import FRAMES
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.vertical import note_as_is

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
-from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.forks import renew_after_fork
@@ -99,14 +98,6 @@ class Library:
         self.limit_cache = native.plain("twz_file_limit_cache", None, _POINTER, ctypes.c_uint64)
         self.allocator = native.plain("twz_python_allocator", _POINTER)()
         self.free_locks = native.plain("twz_python_locks_free", None, _POINTER)
-
-    def needed(self, name: str, handle: int) -> list[tuple[ByteRange, bool]]:
-        """Return which bytes a file or a window needs next, and which of them are index pages."""
-        ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
-        self.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
-        return [
-            (ByteRange(part.offset, part.length), part.is_page == 1) for part in ranges[: n.value]
-        ]
 
 
 @cache
@@ -190,7 +181,7 @@ class NativeFile:
         self, library: Library, container: Container, *, cache_bytes: int, n_threads: int
     ) -> None:
         self._library = library
-        self._container = container
+        self._container, self._header = container, container.header
         self._cache_bytes, self._n_threads = cache_bytes, n_threads
         self._is_closed = False
         self.renew()
@@ -212,10 +203,6 @@ class NativeFile:
         if self._is_closed and self._handles is not None and self._handles.n_users == 0:
             self._finalizer()
             self._handles = None
-
-    @property
-    def _header(self) -> Header:
-        return self._container.header
 
     @contextmanager
     def _opened(self, *, is_large: bool = False) -> Iterator[_Handles]:
@@ -263,7 +250,13 @@ class NativeFile:
 
     def _fetch(self, rounds: RoundReader, kind: str, handle: Any) -> None:
         """Give a file or a window the bytes it needs, all in one request a round."""
-        while wanted := self._library.needed(f"twz_{kind}_need", handle):
+        ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
+        while True:
+            name = f"twz_{kind}_need"
+            self._library.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
+            wanted = [(ByteRange(one.offset, one.length), one.is_page) for one in ranges[: n.value]]
+            if not wanted:
+                return
             # Pages that are here may tell more of what is to be fetched.
             here = [part for part, is_page in wanted if is_page and rounds.has(part)]
             if not here:

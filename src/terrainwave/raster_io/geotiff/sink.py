@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import rasterio
@@ -96,14 +96,6 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
         dataset.descriptions = (info.description,)
 
 
-class _Written(NamedTuple):
-    """A written window, and checksums of its heights and of its mask, if any."""
-
-    window: Window
-    crc: int
-    mask_crc: int | None
-
-
 class _Threads:
     """Number of threads that GDAL may compress with.
 
@@ -179,7 +171,8 @@ class RasterSink:
         self._n_threads = _THREADS.allowed(n_threads)
         self._dtype = np.dtype(info.dtype)
         self._lock = threading.Lock()
-        self._written: list[_Written] = []
+        # Each window, and checksums of its heights and of its mask, if any.
+        self._written: list[tuple[Window, int, int | None]] = []
         with ExitStack() as files:
             self._target = files.enter_context(publish(path, overwrite)).path
             self._check_free_space()
@@ -253,7 +246,7 @@ class RasterSink:
                 if info.mask_kind == "mask":
                     self._dataset.write_mask(valid, window=window)
                     mask_crc = zlib.crc32(np.packbits(valid).data)
-                self._written.append(_Written(window, zlib.crc32(heights.data), mask_crc))
+                self._written.append((window, zlib.crc32(heights.data), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
         # GDAL's threads report no errors: all windows would be written, with a message of libtiff
