@@ -170,12 +170,20 @@ class RasterSink:
         self._cog = cog
         self._n_threads = _THREADS.allowed(n_threads)
         self._dtype = np.dtype(info.dtype)
+        # Void windows may be left out: they read as the nodata value.
+        self.may_be_sparse = info.nodata is not None and info.mask_kind != "mask" and not cog
         self._lock = threading.Lock()
         # Each window, and checksums of its heights and of its mask, if any.
         self._written: list[tuple[Window, int, int | None]] = []
         with ExitStack() as files:
             self._target = files.enter_context(publish(path, overwrite)).path
-            self._check_free_space()
+            folder = self._target.parent
+            free = shutil.disk_usage(folder).free
+            if free < info.n_bytes * _SMALLEST_SHARE:
+                raise StorageError(
+                    f"cannot write {self._path}: {free:,} bytes are free in {folder}, the raster is"
+                    f" {info.n_bytes:,} bytes uncompressed"
+                )
             # A COG is a translation of a finished file.
             self._part = files.enter_context(scratch(path)).path if cog else self._target
             try:
@@ -188,15 +196,6 @@ class RasterSink:
             except GDAL_ERRORS as error:
                 raise self._cannot_write(error) from error
             self._files = files.pop_all()
-
-    def _check_free_space(self) -> None:
-        folder = self._target.parent
-        free = shutil.disk_usage(folder).free
-        if free < self.info.n_bytes * _SMALLEST_SHARE:
-            raise StorageError(
-                f"cannot write {self._path}: {free:,} bytes are free in {folder}, the raster is"
-                f" {self.info.n_bytes:,} bytes uncompressed"
-            )
 
     def _create(self) -> Any:
         profile = geotiff_profile(self.info) | {
@@ -214,11 +213,6 @@ class RasterSink:
             if self._stated:
                 dataset.update_tags(1, ns=DOMAIN, **self._stated)
         return dataset
-
-    @property
-    def may_be_sparse(self) -> bool:
-        """Return whether void windows may be left out: they read as the nodata value."""
-        return self.info.nodata is not None and self.info.mask_kind != "mask" and not self._cog
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
         """Yield windows of whole tiles that cover the grid once, in file order."""
