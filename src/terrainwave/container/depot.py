@@ -121,7 +121,7 @@ class Depot:
         CorruptStreamError
             If it is damaged.
         """
-        entry = self.open(self.path(name))
+        entry = SharedSource(self.path(name))
         try:
             data = entry.read(0, entry.size)
         finally:
@@ -135,10 +135,6 @@ class Depot:
                 " not the arrays that a worker stored there"
             ) from error
 
-    def open(self, path: str) -> SharedSource:
-        """Open an entry for reading, by its path or URL."""
-        return SharedSource(path)
-
     def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
         """Copy an entry to a local file.
 
@@ -147,7 +143,7 @@ class Depot:
         StorageError
             If it cannot be read, or the file cannot be written.
         """
-        entry = self.open(path)
+        entry = SharedSource(path)
         failing = f"cannot write temporary files in {os.path.dirname(local)}"
         try:
             with storage_errors(failing, advice=TEMPORARY_ADVICE), open(local, "wb") as file:
@@ -236,7 +232,7 @@ def stored_places(
 ) -> dict[Block | None, StoredSegment]:
     """Return the result of `store_segments` for the same name and heads."""
     places, offset = {}, 0
-    with closing(depot.open(depot.path(name))) as entry:
+    with closing(SharedSource(depot.path(name))) as entry:
         n_bytes = 16 * len(heads)
         ends = np.frombuffer(entry.read(entry.size - n_bytes, n_bytes), "<u8").reshape(-1, 2)
     for head, (of_page, length) in zip(heads, ends.tolist(), strict=True):
@@ -250,16 +246,12 @@ class StoredSegments:
 
     Parameters
     ----------
-    depot : Depot
     place : callable
         Returns the position of a segment, by its head.
     """
 
-    def __init__(
-        self, grid: Grid, depot: Depot, place: Callable[[Block | None], StoredSegment]
-    ) -> None:
+    def __init__(self, grid: Grid, place: Callable[[Block | None], StoredSegment]) -> None:
         self._grid = grid
-        self._depot = depot
         self._place = place
         self._sources: Cache[str, SharedSource] = Cache(
             _OPEN_SOURCES, drop=lambda source: source.close()
@@ -316,4 +308,4 @@ class StoredSegments:
         return segment_of_page(head, layout, page, start, has_pages=False)
 
     def _source(self, path: str) -> SharedSource:
-        return self._sources.get_or_make(path, lambda: self._depot.open(path))
+        return self._sources.get_or_make(path, lambda: SharedSource(path))

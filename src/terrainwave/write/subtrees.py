@@ -106,7 +106,7 @@ class Site:
             depth = head.level - self.level
             return stored(Block(self.level, head.row >> depth, head.col >> depth))[head]
 
-        return StoredSegments(self.grid, self.depot, place)
+        return StoredSegments(self.grid, place)
 
     @contextmanager
     def decoded(self, stage: str, top_stage: str) -> Iterator[tuple[TreeDecoder, StoredSegments]]:

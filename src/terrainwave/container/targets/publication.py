@@ -18,9 +18,9 @@ from terrainwave import interrupts
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import naming_full_disk, storage_errors
 from terrainwave.container.targets.unfinished import (
+    CAN_RENAME_OPEN_FILES,
     RETRIES,
     Part,
-    can_rename_open_files,
     create_locked,
     dispose,
     leftovers,
@@ -92,7 +92,7 @@ def publish(
             with suppress(FileNotFoundError):
                 os.chmod(part.path, stat.S_IMODE(os.stat(final).st_mode))
         _check_target(final, overwrite)
-        if not can_rename_open_files():
+        if not CAN_RENAME_OPEN_FILES:
             part.file.close()
         with interrupts.publishing(os.fspath(target)):
             _replace(part.path, final)
