@@ -196,15 +196,11 @@ class DescribedFile:
             If there is no such level.
         """
         n = self.n_levels
-        found = checked_whole("level", level, least=-n, most=n - 1, expected=self._level_names)
+        names = f"0 (coarsest) to {n - 1}, or -1 (full grid) to -{n}"
+        if n == 1:
+            names = "0 or -1: the file has one level, the full grid"
+        found = checked_whole("level", level, least=-n, most=n - 1, expected=names)
         return found + n if found < 0 else found
-
-    @cached_property
-    def _level_names(self) -> str:
-        """Return the valid names of levels, in words."""
-        if self.n_levels == 1:
-            return "0 or -1: the file has one level, the full grid"
-        return f"0 (coarsest) to {self.n_levels - 1}, or -1 (full grid) to -{self.n_levels}"
 
     def level_shape(self, level: int = -1) -> tuple[int, int]:
         """Return the numbers of rows and columns of a level."""

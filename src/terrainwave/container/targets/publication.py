@@ -100,7 +100,13 @@ def publish(
         _log.debug("wrote %s", final)
         if not is_update:
             remove_of_gdal(target, *OF_GDAL)
-        _sync_directory(final.parent)
+        # The new name survives a power cut, if the system can open directories.
+        with suppress(OSError):
+            handle = os.open(final.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     finally:
         dispose(part, [] if is_published else created)
 
@@ -337,13 +343,3 @@ def _replace(part: Path, final: Path) -> None:
                 time.sleep(delay)
                 delay = min(2 * delay, 1.0)
         os.replace(part, final)
-
-
-def _sync_directory(directory: Path) -> None:
-    """Make the new name survive a power cut, if the system can open directories."""
-    with suppress(OSError):
-        handle = os.open(directory, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

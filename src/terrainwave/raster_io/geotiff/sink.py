@@ -298,15 +298,22 @@ class RasterSink:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             try:
-                is_complete = _holds_all_tiles(
-                    part, may_be_sparse=self.may_be_sparse
-                ) and self._holds_what_was_written(part)
+                is_complete = self._holds_what_was_written(part)
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
             raise self._full_disk()
 
     def _holds_what_was_written(self, part: Path) -> bool:
+        size = part.stat().st_size
+        with rasterio.open(part) as dataset:
+            for (row, col), _ in dataset.block_windows(1):
+                offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
+                if offset is None and self.may_be_sparse:  # void tiles may be missing
+                    continue
+                n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
+                if offset is None or int(offset) + int(n_bytes) > size:
+                    return False
         with rasterio.open(part, num_threads=self._n_threads) as dataset:
             for window, crc, mask_crc in self._written:
                 if zlib.crc32(dataset.read(1, window=window).data) != crc:
@@ -350,20 +357,6 @@ def _refusal(folder: Path) -> OSError | None:
     except OSError as error:
         return error
     return None
-
-
-def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:
-    """Return whether all tiles lie inside a file; in a sparse one, void tiles may be missing."""
-    size = path.stat().st_size
-    with rasterio.open(path) as dataset:
-        for (row, col), _ in dataset.block_windows(1):
-            offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
-            if offset is None and may_be_sparse:
-                continue
-            n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
-            if offset is None or int(offset) + int(n_bytes) > size:
-                return False
-    return True
 
 
 class _Aborted(Exception):
