@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from typing import Any, BinaryIO, NamedTuple
 from unittest import mock
 
-from terrainwave.container.depot import Depot, _Entry
+from terrainwave.container.depot import Depot
+from terrainwave.container.sources.shared import SharedSource
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.cluster import DistributedPasses
 from terrainwave.write.tasks import workers
@@ -46,13 +47,13 @@ class _Timed(NamedTuple):
 def _counted() -> Iterator[list[int]]:
     """Count bytes of heights read, and bytes read from the depot and written there."""
     counts = [0, 0, 0]
-    close, read, create = RasterSource.close, _Entry.read, Depot.create
+    close, read, create = RasterSource.close, SharedSource.read, Depot.create
 
     def closing(source: RasterSource) -> None:
         counts[0] += source.n_bytes_read
         close(source)
 
-    def reading(entry: _Entry, offset: int, length: int) -> bytes:
+    def reading(entry: SharedSource, offset: int, length: int) -> bytes:
         counts[1] += length
         return read(entry, offset, length)
 
@@ -64,7 +65,7 @@ def _counted() -> Iterator[list[int]]:
 
     with (
         mock.patch.object(RasterSource, "close", closing),
-        mock.patch.object(_Entry, "read", reading),
+        mock.patch.object(SharedSource, "read", reading),
         mock.patch.object(Depot, "create", creating),
     ):
         yield counts

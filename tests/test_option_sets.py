@@ -17,8 +17,8 @@ from terrainwave.cli import output
 from terrainwave.cli.options import declared
 from terrainwave.container.metadata import ORIGIN
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import MESH_ENDINGS, Shape
 from terrainwave.export.mesh import Mesh
+from terrainwave.export.shapes import MESH_ENDINGS, Shape
 from terrainwave.option_sets import FLAG, OptionSet, number, numbers, option, whole, words
 from terrainwave.render.window.view_options import ViewOptions
 from terrainwave.write.compress_options import Options

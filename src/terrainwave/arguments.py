@@ -357,6 +357,12 @@ def check_callback(callback: object, name: str = "progress", takes: str = "a Pro
         )
 
 
+def check_vertical(vertical: str) -> bool:
+    """Return whether heights must be converted to the ellipsoid."""
+    check_choice("vertical", vertical, VERTICAL)
+    return vertical == ELLIPSOID
+
+
 def check_flags(**flags: object) -> None:
     """Raise `InvalidArgumentError` for a flag that is not a bool: text "no" would count as true."""
     for name, value in flags.items():

@@ -15,7 +15,6 @@ from typing import Any
 from terrainwave.arguments import AS_IS, MOST_LODS, check_flags, checked_error, checked_whole
 from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import BoundViolationError, InvalidArgumentError, TerrainwaveWarning
-from terrainwave.export import Shape
 from terrainwave.export.mesh_files import (
     check_drape,
     check_extension,
@@ -27,6 +26,7 @@ from terrainwave.export.mesh_files import (
     with_texture,
 )
 from terrainwave.export.mesh_formats import SavedMesh
+from terrainwave.export.shapes import Shape
 from terrainwave.progress import ProgressCallback
 from terrainwave.terrain import Terrain
 from terrainwave.verification.area_mesh import area_problems

@@ -426,10 +426,10 @@ LAYERS = {
         "grid.quantum.HeightScan.quantizer",
         "write.pyramid.Pyramid.build",
         "write.encoder.TreeEncoder.run",
-        "write.local.measure_meshes",
+        "mesh.blocks.measure_meshes",
         "container.spool_sink.SpoolSink.__init__",
         "write.compress.assemble",
-        "write.passes.proof.compare_window",
+        "write.passes.proof.Comparison.window",
         "container.reader.Container.__init__",
     ],
     "decompress": [

@@ -11,8 +11,8 @@ import pytest
 from fsspec import AbstractFileSystem
 from fsspec.registry import _registry
 
-from terrainwave.container import depot as depots
-from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.depot import Depot
+from terrainwave.container.spool import StoredSegment
 from terrainwave.errors import CorruptStreamError, StorageError
 
 
@@ -63,7 +63,7 @@ class Store(AbstractFileSystem):
 
 @pytest.fixture
 def store(monkeypatch):
-    monkeypatch.setattr(depots, "_DELAYS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.sources.shared._DELAYS", (0.0, 0.0, 0.0))
     monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", ())
     monkeypatch.setattr(Store, "late", 0)
     for state in (Store.objects, Store.unseen, Store.fails):

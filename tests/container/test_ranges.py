@@ -10,15 +10,10 @@ from terrainwave.container.sources.ranges import (
     MAX_GAP,
     Budget,
     ByteRange,
-    FetchedBytes,
     merge_ranges,
 )
 
 KIB, MIB = 2**10, 2**20
-
-
-def spans_of(ranges, budget=None):
-    return [span for span, _ in merge_ranges(ranges, budget)]
 
 
 def n_bytes(ranges):
@@ -35,48 +30,48 @@ def in_a_row(length, gaps):
 
 def test_gaps_of_64_kib_in_all_are_bridged_and_more_are_not():
     first, second = ByteRange(0, 10), ByteRange(10 + 65536, 5)
-    assert spans_of([first, second]) == [ByteRange(0, 65536 + 15)]
-    assert spans_of([first, ByteRange(11 + 65536, 5)]) == [first, ByteRange(11 + 65536, 5)]
+    assert merge_ranges([first, second]) == [ByteRange(0, 65536 + 15)]
+    assert merge_ranges([first, ByteRange(11 + 65536, 5)]) == [first, ByteRange(11 + 65536, 5)]
     third = ByteRange(second.end + 100, 5)  # the shorter gap is bridged
-    assert spans_of([first, second, third]) == [first, ByteRange(second.offset, 110)]
+    assert merge_ranges([first, second, third]) == [first, ByteRange(second.offset, 110)]
 
 
 def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
     first = ByteRange(0, MIB)
     near, far = ByteRange(MIB + 300_000, MIB), ByteRange(MIB + 600_000, MIB)
-    assert spans_of([first, near]) == [ByteRange(0, 2 * MIB + 300_000)]
-    assert spans_of([first, far]) == [first, far]
+    assert merge_ranges([first, near]) == [ByteRange(0, 2 * MIB + 300_000)]
+    assert merge_ranges([first, far]) == [first, far]
     # However much is wanted, a gap above 1 MiB costs more than a request.
     large, beyond = ByteRange(0, 8 * MIB), ByteRange(8 * MIB + MAX_GAP + 1, MIB)
-    assert spans_of([large, beyond]) == [large, beyond]
+    assert merge_ranges([large, beyond]) == [large, beyond]
 
 
 def test_more_may_lie_in_gaps_while_requests_are_more_than_is_aimed_at():
     ranges = in_a_row(50 * KIB, [60 * KIB] * 5 + [300 * KIB] * 12)  # 18 ranges, 900 KiB
-    assert len(spans_of(ranges)) == 18 - 5 - 3  # one and a half times that: 5 · 60 + 3 · 300
+    assert len(merge_ranges(ranges)) == 18 - 5 - 3  # one and a half times that: 5 · 60 + 3 · 300
     budget = Budget(13, waste=225 * KIB, most_waste=300 * KIB)
-    assert len(spans_of(ranges, budget)) == 13
-    assert len(spans_of(ranges, budget._replace(most_waste=299 * KIB))) == 14
-    assert len(spans_of(ranges, budget._replace(n_requests=12))) == 13
+    assert len(merge_ranges(ranges, budget)) == 13
+    assert len(merge_ranges(ranges, budget._replace(most_waste=299 * KIB))) == 14
+    assert len(merge_ranges(ranges, budget._replace(n_requests=12))) == 13
 
 
 def test_no_more_gaps_are_bridged_than_the_aim_needs():
     ranges = in_a_row(100 * KIB, [100 * KIB] * 12)
     budget = Budget(AIMED_REQUESTS, waste=0, most_waste=10 * MIB)
-    assert len(spans_of(ranges, budget)) == AIMED_REQUESTS
-    assert spans_of(ranges, budget._replace(n_requests=13)) == ranges
+    assert len(merge_ranges(ranges, budget)) == AIMED_REQUESTS
+    assert merge_ranges(ranges, budget._replace(n_requests=13)) == ranges
     # Earlier rounds have taken all: one more is needed in any case.
-    assert len(spans_of(ranges, budget._replace(n_requests=-2))) == 1
+    assert len(merge_ranges(ranges, budget._replace(n_requests=-2))) == 1
 
 
 def test_ranges_that_touch_or_overlap_are_one_request_whatever_the_budget():
     nothing_left = Budget(0, -1, -1)
     ranges = [ByteRange(0, 10), ByteRange(5, 10), ByteRange(15, 5), ByteRange(7, 2)]
-    assert spans_of(ranges, nothing_left) == [ByteRange(0, 20)]
+    assert merge_ranges(ranges, nothing_left) == [ByteRange(0, 20)]
 
 
 def test_empty_ranges_need_no_request():
-    assert spans_of([ByteRange(5, 0), ByteRange(90, 0)]) == []
+    assert merge_ranges([ByteRange(5, 0), ByteRange(90, 0)]) == []
 
 
 budgets = st.builds(Budget, st.integers(-3, 20), st.integers(-9, 2**21), st.integers(-9, 2**22))
@@ -92,7 +87,7 @@ def test_requests_are_disjoint_in_order_and_within_the_budget(lengths, gaps, bud
     for length, gap in zip(lengths, gaps, strict=False):
         ranges.append(ByteRange(end + gap, length))
         end = ranges[-1].end
-    spans = spans_of(ranges[::-1], budget)
+    spans = merge_ranges(ranges[::-1], budget)
     assert all(one.end < other.offset for one, other in pairwise(spans))
     n_wasted = n_bytes(spans) - n_bytes(ranges)
     assert n_wasted <= max(0, budget.waste, budget.most_waste)
@@ -105,26 +100,3 @@ def test_requests_are_disjoint_in_order_and_within_the_budget(lengths, gaps, bud
     aimed = max(0, len(ranges) - max(budget.n_requests, 1))
     n_bridged = max(bought(budget.waste), min(bought(budget.most_waste), aimed))
     assert len(spans) == len(ranges) - n_bridged
-
-
-def fetched(*pieces):
-    found = FetchedBytes()
-    for offset, data in pieces:
-        found.add(offset, data)
-    return found
-
-
-def test_missing_parts_lie_before_between_and_after_what_came():
-    here = fetched((10, b"abcde"), (20, b"fgh"))
-    assert here.missing(ByteRange(0, 30)) == [(0, 10), (15, 5), (23, 7)]
-    assert here.missing(ByteRange(11, 4)) == []
-    assert here.missing(ByteRange(14, 7)) == [(15, 5)]
-    assert here.missing(ByteRange(15, 5)) == [(15, 5)]
-    assert here.missing(ByteRange(12, 0)) == []
-
-
-def test_a_range_is_put_together_from_pieces_that_came_apart():
-    here = fetched((3, b"de"), (0, b"abc"), (5, b"f"))
-    assert here.take(ByteRange(1, 4)) == b"bcde"
-    assert here.take(ByteRange(0, 6)) == b"abcdef"
-    assert here.take(ByteRange(2, 0)) == b""

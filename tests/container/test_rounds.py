@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from terrainwave.container.sources.byte_source import BufferSource
-from terrainwave.container.sources.ranges import AIMED_REQUESTS, ByteRange
-from terrainwave.container.sources.rounds import RoundReader
+from terrainwave.container.sources.ranges import AIMED_REQUESTS, ByteRange, RoundReader
 
 KIB = 1024
 DATA = np.random.default_rng(1).bytes(4000 * KIB)
@@ -46,7 +45,7 @@ def test_later_rounds_fetch_only_what_is_missing(source):
     reader = RoundReader(source, b"")
     early, late = ByteRange(1000, 50), ByteRange(1040, 60)
     reader.fetch([early])
-    reader.fetch([early, late])
+    reader.fetch([late])
     reader.fetch([early, late])
     assert source.rounds == [[early], [ByteRange(1050, 50)], []]
     assert reader.take(late) == of_data(late)
@@ -56,10 +55,10 @@ def test_requests_of_earlier_rounds_count(source):
     reader = RoundReader(source, b"")
     first = apart(0, 2, 60 * KIB, 200 * KIB)  # 140 KiB between them: more than 120 KiB wanted allow
     reader.fetch(first[:1])
-    reader.fetch(first)
+    reader.fetch(first[1:])
     assert list(map(len, source.rounds)) == [1, 1]
     second = apart(1300 * KIB, 4, 50 * KIB, 160 * KIB)
-    reader.fetch([*first, *second])
+    reader.fetch(second)
     assert len(source.rounds[2]) == AIMED_REQUESTS - 2
     assert all(reader.take(place) == of_data(place) for place in [*first, *second])
 
@@ -77,8 +76,28 @@ def test_bytes_that_were_wasted_are_not_wasted_again(source):
     second = apart(2000 * KIB, 2, 100 * KIB, 160 * KIB)  # 60 KiB between them
     thrifty, wasteful = RoundReader(source, b""), RoundReader(source, b"")
     thrifty.fetch([ByteRange(0, 10)])
-    thrifty.fetch([ByteRange(0, 10), *second])
+    thrifty.fetch(second)
     assert len(source.rounds[1]) == 1
-    wasteful.fetch([ByteRange(0, 50 * KIB)])  # of which no more than ten bytes were needed
-    wasteful.fetch([ByteRange(0, 10), *second])
+    wasteful.fetch([ByteRange(0, 5), ByteRange(50 * KIB, 5)])  # in one request
+    wasteful.fetch(second)
     assert source.rounds[3] == second
+
+
+def test_missing_parts_lie_before_between_and_after_what_came(source):
+    reader = RoundReader(source)
+    for first in (500, 2000):  # pieces as long as no gap that is bridged
+        reader.fetch([ByteRange(first * KIB, 1100 * KIB)])
+    wanted = ByteRange(400 * KIB, 2800 * KIB)
+    assert not reader.has(wanted)
+    reader.fetch([wanted])
+    places = ((400, 100), (1600, 400), (3100, 100))
+    assert source.rounds[2] == [ByteRange(first * KIB, n * KIB) for first, n in places]
+    assert reader.take(wanted) == of_data(wanted)
+
+
+def test_part_of_a_piece_is_taken_and_nothing_of_an_empty_range(source):
+    reader = RoundReader(source, DATA[:6])
+    assert reader.take(ByteRange(1, 4)) == DATA[1:5]
+    assert reader.has(ByteRange(3000 * KIB, 0))
+    assert reader.take(ByteRange(2, 0)) == b""
+    assert not reader.has(ByteRange(5, 2))

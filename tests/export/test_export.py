@@ -21,10 +21,10 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export import MESH_ENDINGS
 from terrainwave.export.frames import areas, steepest, to_frame, vertex_normals
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.mesh_files import save_mesh
+from terrainwave.export.shapes import MESH_ENDINGS
 from terrainwave.export.solid import border_edges, solidify
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)

@@ -23,9 +23,9 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export import MESH_ENDINGS
 from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_files import save_mesh
+from terrainwave.export.shapes import MESH_ENDINGS
 from terrainwave.grid.affine import Footprint
 from terrainwave.raster_io import drape
 

@@ -20,7 +20,7 @@ from terrainwave.ext.serve.layers import open_layers
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.stac import stac_item
 from terrainwave.place.crs import format_crs
-from terrainwave.place.position import impossible_places
+from terrainwave.place.description import impossible_places
 from terrainwave.raster_io.source import RasterSource
 
 SWAPPED = (0.01, 0, 46, 0, -0.01, 100)

@@ -16,7 +16,7 @@ from terrainwave.arguments import (
 )
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import Shape
+from terrainwave.export.shapes import Shape
 from terrainwave.option_sets import FLAG, PATH, Kind, OptionSet, number
 from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 

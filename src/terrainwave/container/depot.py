@@ -8,16 +8,14 @@ missing objects are requested again, so the store may show them late.
 """
 
 import io
-import logging
 import os
 import secrets
 import tempfile
-import time
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, BinaryIO, NamedTuple, TypeVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,83 +26,18 @@ from terrainwave.container.page import describe_head, empty_page, page_layout, u
 from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.addresses import display_name, without_secrets
-from terrainwave.container.sources.byte_source import ByteSource
-from terrainwave.container.sources.opening import open_source
-from terrainwave.container.spool import TEMPORARY_ADVICE, storage_errors
+from terrainwave.container.sources.shared import CHUNK, SharedSource, repeated
+from terrainwave.container.spool import TEMPORARY_ADVICE, StoredSegment, storage_errors
 from terrainwave.container.targets.upload import put_whole
+from terrainwave.container.writer import Segments, write_segments
 from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.grid.quadtree import Block, Grid
 
-_log = logging.getLogger(__name__)
-
 _OPEN_SOURCES = 32
 _CACHED_PAGES = 64
-_CHUNK = 16 << 20
-# Seconds before a retry: stores may show new objects late.
-_DELAYS = (0.2, 1.0, 5.0, 15.0)
 _NAMES_AT_A_TIME = 1000  # limit of S3's delete request
 _ADVICE = "; free space there, or name another directory or URL with `temp_dir`"
-
-Result = TypeVar("Result")
-
-
-class StoredSegment(NamedTuple):
-    """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
-
-    path: str
-    offset: int
-    page_length: int
-    length: int
-
-    def page(self) -> bytes:
-        return b"".join(self._read(0, self.page_length))
-
-    def sections(self) -> Iterator[bytes]:
-        """Yield payloads and meshes, at most 16 MiB in memory at a time."""
-        return self._read(self.page_length, self.length)
-
-    def _read(self, first: int, end: int) -> Iterator[bytes]:
-        entry = _Entry(self.path)
-        try:
-            for start in range(first, end, _CHUNK):
-                yield entry.read(self.offset + start, min(_CHUNK, end - start))
-        finally:
-            entry.close()
-
-
-def _again(what: str, call: Callable[[], Result]) -> Result:
-    """Return the result of a call, retried if it fails."""
-    for delay in _DELAYS:
-        try:
-            return call()
-        except (StorageError, OSError) as error:
-            _log.info("%s: %s, again in %g s", what, type(error).__name__, delay)
-            time.sleep(delay)
-    return call()
-
-
-class _Entry:
-    """An open entry of a depot; failed reads are retried."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-        self._source: ByteSource = self._again(lambda: open_source(path))
-
-    @property
-    def size(self) -> int:
-        """Return the number of bytes."""
-        return self._source.size
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Return exactly these bytes."""
-        return self._again(lambda: self._source.read(offset, length))
-
-    def close(self) -> None:
-        self._source.close()
-
-    def _again(self, call: Callable[[], Result]) -> Result:
-        return _again(f"reading {display_name(self._path)}", call)
 
 
 @dataclass(frozen=True)
@@ -169,7 +102,7 @@ class Depot:
         try:
             with storage_errors(failing, advice=TEMPORARY_ADVICE), os.fdopen(handle, "wb") as file:
                 yield file
-            _again(f"writing {where}", put)
+            repeated(f"writing {where}", put)
         finally:
             os.unlink(made)
 
@@ -188,7 +121,7 @@ class Depot:
         CorruptStreamError
             If it is damaged.
         """
-        entry = self.open(self.path(name))
+        entry = SharedSource(self.path(name))
         try:
             data = entry.read(0, entry.size)
         finally:
@@ -202,10 +135,6 @@ class Depot:
                 " not the arrays that a worker stored there"
             ) from error
 
-    def open(self, path: str) -> _Entry:
-        """Open an entry for reading, by its path or URL."""
-        return _Entry(path)
-
     def fetch(self, path: str, local: str | os.PathLike[str]) -> None:
         """Copy an entry to a local file.
 
@@ -214,12 +143,12 @@ class Depot:
         StorageError
             If it cannot be read, or the file cannot be written.
         """
-        entry = self.open(path)
+        entry = SharedSource(path)
         failing = f"cannot write temporary files in {os.path.dirname(local)}"
         try:
             with storage_errors(failing, advice=TEMPORARY_ADVICE), open(local, "wb") as file:
-                for start in range(0, entry.size, _CHUNK):
-                    file.write(entry.read(start, min(_CHUNK, entry.size - start)))
+                for start in range(0, entry.size, CHUNK):
+                    file.write(entry.read(start, min(CHUNK, entry.size - start)))
         finally:
             entry.close()
 
@@ -284,23 +213,49 @@ def _filesystem(root: str) -> tuple[Any, str]:
     return filesystem, path
 
 
+def store_segments(
+    depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Segments
+) -> dict[Block | None, StoredSegment]:
+    """Store segments in the order of `heads` in one file of a depot (`write_segments`).
+
+    Behind them are their lengths, for `stored_places`.
+    """
+    with depot.create(name) as file:
+        places = write_segments(file, depot.path(name), grid, heads, spools)
+        lengths = [(place.page_length, place.length) for place in places.values()]
+        file.write(np.array(lengths, dtype="<u8").tobytes())
+    return places
+
+
+def stored_places(
+    depot: Depot, name: str, heads: Sequence[Block | None]
+) -> dict[Block | None, StoredSegment]:
+    """Return the result of `store_segments` for the same name and heads."""
+    places, offset = {}, 0
+    with closing(SharedSource(depot.path(name))) as entry:
+        n_bytes = 16 * len(heads)
+        ends = np.frombuffer(entry.read(entry.size - n_bytes, n_bytes), "<u8").reshape(-1, 2)
+    for head, (of_page, length) in zip(heads, ends.tolist(), strict=True):
+        places[head] = StoredSegment(depot.path(name), offset, of_page, length)
+        offset += length
+    return places
+
+
 class StoredSegments:
     """Payloads, meshes and codes of stored segments, by key; not thread-safe.
 
     Parameters
     ----------
-    depot : Depot
     place : callable
         Returns the position of a segment, by its head.
     """
 
-    def __init__(
-        self, grid: Grid, depot: Depot, place: Callable[[Block | None], StoredSegment]
-    ) -> None:
+    def __init__(self, grid: Grid, place: Callable[[Block | None], StoredSegment]) -> None:
         self._grid = grid
-        self._depot = depot
         self._place = place
-        self._sources: Cache[str, _Entry] = Cache(_OPEN_SOURCES, drop=lambda source: source.close())
+        self._sources: Cache[str, SharedSource] = Cache(
+            _OPEN_SOURCES, drop=lambda source: source.close()
+        )
         self._segments: Cache[Block | None, Segment] = Cache(_CACHED_PAGES)
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
@@ -315,10 +270,7 @@ class StoredSegments:
         """Return the codes of `block`: z_min, z_max, error, mesh error."""
         head = None if block.level == 0 else self._grid.segment_head(block.parent)
         segment = self._segment(head)
-        z_min, z_max, error, mesh_error = segment.page.codes[
-            segment.layout.block_rows[block]
-        ].tolist()
-        return z_min, z_max, error, mesh_error
+        return segment.codes(block)
 
     def close(self) -> None:
         self._sources.clear()
@@ -355,5 +307,5 @@ class StoredSegments:
         start = place.offset + place.page_length
         return segment_of_page(head, layout, page, start, has_pages=False)
 
-    def _source(self, path: str) -> _Entry:
-        return self._sources.get_or_make(path, lambda: self._depot.open(path))
+    def _source(self, path: str) -> SharedSource:
+        return self._sources.get_or_make(path, lambda: SharedSource(path))

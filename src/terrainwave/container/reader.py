@@ -37,9 +37,7 @@ from terrainwave.container.page import (
 )
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
-from terrainwave.container.sources.cut_file import CutFile
-from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.sources.rounds import RoundReader
+from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -95,6 +93,8 @@ class Container:
                 " (decompress --on-error mask) reads what is there"
             )
         if self.n_missing:
+            from terrainwave.container.sources.zip_member import CutFile  # sound files need none
+
             source = CutFile(source, extents.file_size)
         self.source = source
         if source.size > extents.file_size:
@@ -108,11 +108,8 @@ class Container:
         self.extents: Extents = extents
         self.header: Header = _with_sections(header, extents, start)
         self.grid: Grid = self.header.grid
+        self._segments_end = extents.file_size - SMALLEST_DIGESTS * header.has_digests
         self._top = self._unpack_top(start[extents.top_start : end])
-
-    @property
-    def _segments_end(self) -> int:
-        return self.extents.file_size - SMALLEST_DIGESTS * self.header.has_digests
 
     def _unpack_top(self, data: bytes) -> Segment:
         start = self.extents.top_start
@@ -247,14 +244,12 @@ class Container:
         heads = {key: self._head_of(key) for key in keys}
         known = self._known_segments(heads.values())
         reader = self.rounds()
-        pages: list[ByteRange] = []
         with self._blaming_change():
             while missing := self._next_segments(heads.values(), known):
                 places = {head: parent.page_range(head) for head, parent in missing.items()}
                 here = {head: place for head, place in places.items() if reader.has(place)}
                 if not here:  # otherwise they may locate more to fetch
-                    pages += places.values()
-                    reader.fetch([*pages, *_payload_places(heads, known).values()])
+                    reader.fetch([*places.values(), *_payload_places(heads, known).values()])
                 loaded: dict[Block | None, Segment] = {
                     head: self._unpack_segment(head, missing[head], reader.take(place))
                     for head, place in (here or places).items()
@@ -262,7 +257,7 @@ class Container:
                 self._keep(loaded)
                 known.update(loaded)
             of_payloads = _payload_places(heads, known)
-            reader.fetch([*pages, *of_payloads.values()])
+            reader.fetch(of_payloads.values())
             payloads = {key: reader.take(place) for key, place in of_payloads.items()}
             n_bytes = sum(map(len, payloads.values()))
             _log.debug("read %d payloads, %d bytes", len(keys), n_bytes)
@@ -336,11 +331,7 @@ class Container:
         if not self.grid.contains(block):
             raise KeyError(f"the grid has no {block}")
         head = None if block.level == 0 else self.grid.segment_head(block.parent)
-        segment = self.segment(head)
-        z_min, z_max, error, mesh_error = segment.page.codes[
-            segment.layout.block_rows[block]
-        ].tolist()
-        return z_min, z_max, error, mesh_error
+        return self.segment(head).codes(block)
 
     def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
         heads = [self._head_of(key) for key in keys]

@@ -38,6 +38,11 @@ class Segment:
     def mesh_range(self, row: int) -> ByteRange:
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
 
+    def codes(self, block: Block) -> tuple[int, int, int, int]:
+        """Return the codes of `block`: z_min, z_max, error, mesh error."""
+        z_min, z_max, error, mesh_error = self.page.codes[self.layout.block_rows[block]].tolist()
+        return z_min, z_max, error, mesh_error
+
     def page_range(self, child: Block) -> ByteRange:
         """Return the range of the page of `child`; of length 0 if the segment is absent."""
         row = self.layout.child_rows[child]

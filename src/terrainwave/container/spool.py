@@ -96,6 +96,32 @@ class LikeSegment(NamedTuple):
         return Block(key.level, key.row + row, key.col + col)
 
 
+class StoredSegment(NamedTuple):
+    """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
+
+    path: str
+    offset: int
+    page_length: int
+    length: int
+
+    def page(self) -> bytes:
+        return b"".join(self._read(0, self.page_length))
+
+    def sections(self) -> Iterator[bytes]:
+        """Yield payloads and meshes, at most 16 MiB in memory at a time."""
+        return self._read(self.page_length, self.length)
+
+    def _read(self, first: int, end: int) -> Iterator[bytes]:
+        from terrainwave.container.sources.shared import CHUNK, SharedSource  # seldom needed
+
+        entry = SharedSource(self.path)
+        try:
+            for start in range(first, end, CHUNK):
+                yield entry.read(self.offset + start, min(CHUNK, end - start))
+        finally:
+            entry.close()
+
+
 class SegmentSpool:
     """Stores the payloads of one segment in any order; `assemble` writes them in page order.
 

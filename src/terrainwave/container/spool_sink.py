@@ -1,14 +1,20 @@
 """Distribution of payloads to the spools of their segments."""
 
 import os
+import secrets
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Protocol
 
-from terrainwave.container.depot import StoredSegment
 from terrainwave.container.page import N_CODES, page_layout
-from terrainwave.container.spool import TEMPORARY_ADVICE, LikeSegment, SegmentSpool
-from terrainwave.container.writer import SegmentStore
+from terrainwave.container.spool import (
+    TEMPORARY_ADVICE,
+    LikeSegment,
+    SegmentSpool,
+    StoredSegment,
+    storage_errors,
+)
+from terrainwave.container.writer import write_segments
 from terrainwave.grid.quadtree import Block, Grid
 
 
@@ -23,11 +29,13 @@ class SpoolSink:
         self._grid = grid
         self._directory = directory
         self.spools: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None] = {}
-        self._store = SegmentStore(grid, directory)
+        # Finished segments without child segments. A run may code a raster twice.
+        name = f"finished-{secrets.token_hex(8)}.twz-spool"
+        self._finished, self._end = os.path.join(directory, name), 0
         self.n_bytes = 0
         self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
-        self._lock = threading.Lock()
+        self._lock, self._storing = threading.Lock(), threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
         """Store the payload of a unit."""
@@ -67,10 +75,20 @@ class SpoolSink:
             self.spools[head] = LikeSegment(like)
 
     def store(self, head: Block) -> None:
-        """Move a complete segment, with its codes, out of memory."""
+        """Move a complete segment, with its codes, out of memory: only its position stays."""
         spool = self.spools.get(head)
-        if isinstance(spool, SegmentSpool):
-            self.spools[head] = self._store.store(head, spool)
+        if not isinstance(spool, SegmentSpool):
+            return
+        action = f"cannot write temporary files in {self._directory}"
+        with self._storing, storage_errors(action, advice=TEMPORARY_ADVICE):
+            # Not "ab": after a failed write, the next one begins after the good bytes.
+            with open(self._finished, "r+b" if self._end else "wb") as file:
+                file.seek(self._end)
+                places = write_segments(file, self._finished, self._grid, [head], self.spools)
+            stored = places[head]
+            self._end += stored.length
+        self.spools[head] = stored
+        spool.close()
 
     def present(self) -> Iterator[SegmentSpool]:
         """Yield the spools that have payloads of their own."""

@@ -1,18 +1,14 @@
 """Assemble a file from its segments (FORMAT.md §3.2)."""
 
 import os
-import threading
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
-from itertools import count
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.digests import DigestTree
 from terrainwave.container.header import (
     HAS_DIGESTS,
@@ -36,9 +32,9 @@ from terrainwave.container.page import (
     with_first_child,
 )
 from terrainwave.container.spool import (
-    TEMPORARY_ADVICE,
     LikeSegment,
     SegmentSpool,
+    StoredSegment,
     storage_errors,
 )
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
@@ -179,83 +175,30 @@ def append_digests(
         out_file.flush()
 
 
-_NUMBERS = count()  # of this process's stores
-
-
-class SegmentStore:
-    """Finished segments without child segments, in one temporary file; thread-safe.
-
-    Only their positions stay in memory.
-    """
-
-    def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
-        self._grid = grid
-        self._directory = os.fspath(directory)
-        # A run may code a raster twice, and use the smaller result.
-        self._path = os.path.join(self._directory, f"finished-{next(_NUMBERS)}.twz-spool")
-        self._end = 0
-        self._lock = threading.Lock()
-
-    def store(self, head: Block, spool: SegmentSpool) -> StoredSegment:
-        """Store a segment and close its spool. A void one has no bytes."""
-        part = _Preparation(self._grid, {head: spool}, defaultdict(lambda: _ABSENT))(head)
-        action = f"cannot write temporary files in {self._directory}"
-        with self._lock, storage_errors(action, advice=TEMPORARY_ADVICE):
-            if part.length:
-                # Not "ab": after a failed write, the next one begins after the good bytes.
-                with open(self._path, "r+b" if self._end else "wb") as file:
-                    file.seek(self._end)
-                    file.write(_page_bytes(head, {head: spool}, part, 0))
-                    for chunk in _sections(self._grid, head, {head: spool}):
-                        file.write(chunk)
-            stored = _stored(self._path, self._end, part)
-            self._end += stored.length
-        spool.close()
-        return stored
-
-
-def store_segments(
-    depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Segments
+def write_segments(
+    file: BinaryIO, path: str, grid: Grid, heads: Sequence[Block | None], segments: Segments
 ) -> dict[Block | None, StoredSegment]:
-    """Store segments in the order of `heads` in one file of a depot; return their positions.
-
-    Behind them are their lengths, for `stored_places`.
+    """Write segments in the order of `heads` to a file, from its position; return their places.
 
     `heads` have parents before children. Children outside of `heads` count as absent: their lengths
-    in a page are 0 until `assemble` sets them.
+    in a page are 0 until `assemble` sets them. The file will be at `path`, a path or URL.
     """
     parts: _Extents = defaultdict(lambda: _ABSENT)
-    prepare = _Preparation(grid, spools, parts)
+    prepare = _Preparation(grid, segments, parts)
     for head in reversed(heads):
-        if not _is_below_void(grid, head, spools):
+        if not _is_below_void(grid, head, segments):
             parts[head] = prepare(head)
     places: dict[Block | None, StoredSegment] = {}
-    offset = 0
-    with depot.create(name) as file:
-        for head in heads:
-            part = parts[head]
-            places[head] = _stored(depot.path(name), offset, part)
-            offset += places[head].length
-            if part.length:
-                file.write(_page_bytes(head, spools, part, 0))
-                for chunk in _sections(grid, head, spools):
-                    file.write(chunk)
-        lengths = [(place.page_length, place.length) for place in places.values()]
-        file.write(np.array(lengths, dtype="<u8").tobytes())
-    return places
-
-
-def stored_places(
-    depot: Depot, name: str, heads: Sequence[Block | None]
-) -> dict[Block | None, StoredSegment]:
-    """Return the result of `store_segments` for the same name and heads."""
-    places, offset = {}, 0
-    with closing(depot.open(depot.path(name))) as entry:
-        n_bytes = 16 * len(heads)
-        ends = np.frombuffer(entry.read(entry.size - n_bytes, n_bytes), "<u8").reshape(-1, 2)
-    for head, (of_page, length) in zip(heads, ends.tolist(), strict=True):
-        places[head] = StoredSegment(depot.path(name), offset, of_page, length)
+    offset = file.tell()
+    for head in heads:
+        part = parts[head]
+        length = part.page_length + part.sections_length
+        places[head] = StoredSegment(path, offset, part.page_length, length)
         offset += length
+        if length:
+            file.write(_page_bytes(head, segments, part, 0))
+            for chunk in _sections(grid, head, segments):
+                file.write(chunk)
     return places
 
 
@@ -268,10 +211,6 @@ def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
     while head is not None and head not in segments and head.level:
         head = grid.segment_head(head.parent)
     return head is not None and _is_void(head, segments)
-
-
-def _stored(path: str, offset: int, part: _Extent) -> StoredSegment:
-    return StoredSegment(path, offset, part.page_length, part.page_length + part.sections_length)
 
 
 def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS
+from terrainwave.arguments import AS_IS, check_vertical
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.mesh.mesh_data import CurvatureShare, MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
@@ -27,7 +27,6 @@ from terrainwave.place.position import Place
 from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.place.vertical import (
     EllipsoidalHeights,
-    check_vertical,
     describe_as_is,
     describe_radii,
     onto_wgs84,

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS, check_choice, checked_number
+from terrainwave.arguments import AS_IS, check_choice, check_vertical, checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export import FRAMES
 from terrainwave.export.curvature import GlobeWay, curvature, mesh_unit, way_onto_globe
+from terrainwave.export.shapes import FRAMES
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.position import LocalAxes, Place, place_of
-from terrainwave.place.vertical import check_vertical, note_as_is
+from terrainwave.place.vertical import note_as_is
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:

@@ -53,7 +53,7 @@ class Mesh(MeshData):
         Parameters
         ----------
         path : path
-            The extension selects the format (``export.MESH_FORMATS``, or ``.terrain``).
+            The extension selects the format (``export.shapes.MESH_FORMATS``, or ``.terrain``).
         frame : {"local", "native", "ecef"}, optional
             Metres from the middle (default for degrees), the CRS (otherwise), or geocentric. For
             geocentric files edges are divided where the globe curves too much, and the error

@@ -20,7 +20,6 @@ from terrainwave.arguments import (
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import check_target, publish
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export import MESH_ENDINGS, MESH_FORMATS, TILE, Shape
 from terrainwave.export.curvature import (
     GlobeWay,
     divided,
@@ -32,6 +31,7 @@ from terrainwave.export.curvature import (
 from terrainwave.export.frames import areas, globe_way, quiet_place, steepest, to_frame
 from terrainwave.export.gltf import GROUND_COLOR
 from terrainwave.export.mesh_formats import EXTRA, SavedMesh, obj_digits, turned_y_up
+from terrainwave.export.shapes import MESH_ENDINGS, MESH_FORMATS, TILE, Shape
 from terrainwave.export.solid import add_skirts, solidify
 from terrainwave.extras import need
 from terrainwave.file import TerrainFile

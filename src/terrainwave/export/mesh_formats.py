@@ -1,4 +1,4 @@
-"""Writers of mesh files: each returns the bytes of a file (`export.MESH_FORMATS`).
+"""Writers of mesh files: each returns the bytes of a file (`export.shapes.MESH_FORMATS`).
 
 trimesh and meshio write them, except OBJ and glTF: their writers cannot put normals and texture
 coordinates into one file without complaints of the format's validator.

@@ -20,17 +20,16 @@ from terrainwave.arguments import (
 )
 from terrainwave.errors import InvalidArgumentError, LimitExceededError
 from terrainwave.file.described import DescribedFile
-from terrainwave.file.info import Info, info_of
 from terrainwave.grid.quadtree import Region
 from terrainwave.names import METHODS, methods_that
-from terrainwave.place.position import longitude_turn
-from terrainwave.read.lost import Lost
 from terrainwave.read.places import places_of, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
+    from terrainwave.file.info import Info
     from terrainwave.read.coded import EvenBlocks
     from terrainwave.read.decoder import TreeDecoder
+    from terrainwave.read.lost import Lost
     from terrainwave.read.native import Library
     from terrainwave.read.window_reader import WindowReader
 
@@ -90,17 +89,18 @@ class TerrainFile(DescribedFile):
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.read.tile_decoder import make_decoder
+        from terrainwave.read.window_reader import make_decoder
 
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
     def _windows(self) -> "WindowReader":
-        from terrainwave.read.native import NativeFile
         from terrainwave.read.window_reader import WindowReader
 
         library, native = self._library(), None
         if library is not None:
+            from terrainwave.read.native import NativeFile
+
             native = NativeFile(
                 library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
             )
@@ -120,13 +120,16 @@ class TerrainFile(DescribedFile):
         return self._library() is not None
 
     def _library(self) -> "Library | None":
+        if not self._may_be_native or self.container.n_missing:
+            return None
         from terrainwave.read import native
 
-        is_fit = self._may_be_native and not self.container.n_missing
-        return native.installed() if is_fit and native.is_wanted() else None
+        return native.installed() if native.is_wanted() else None
 
-    def info(self) -> Info:
+    def info(self) -> "Info":
         """Return a summary of the file, only from its header."""
+        from terrainwave.file.info import info_of
+
         return info_of(self)
 
     def read(
@@ -254,7 +257,7 @@ class TerrainFile(DescribedFile):
         return on_error
 
     @property
-    def lost(self) -> list[Lost]:
+    def lost(self) -> "list[Lost]":
         """Return the damaged blocks that reads have left void so far, coarse levels first.
 
         Each is ``(level, window, problem)``, with the window in samples of the level:
@@ -336,6 +339,8 @@ class TerrainFile(DescribedFile):
             NaN outside the outermost samples and where a sample needed is void. The error bound
             holds at samples, not between them.
         """
+        from terrainwave.place.position import longitude_turn
+
         places = places_of(points)
         check_choice("voids", voids, VOIDS)
         index, turn = self.level_index(level), longitude_turn(self.crs)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from affine import Affine
@@ -23,7 +23,6 @@ from terrainwave.arguments import (
 from terrainwave.codec.registry import check_file_tables
 from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
 from terrainwave.container.header import Header
-from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
@@ -35,6 +34,9 @@ from terrainwave.place.units import HeightUnit
 from terrainwave.place.units import height_unit as unit_of
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
+
+if TYPE_CHECKING:
+    from terrainwave.container.parts import Parts
 
 DEFAULT_CACHE_BYTES = 256 << 20
 
@@ -194,15 +196,11 @@ class DescribedFile:
             If there is no such level.
         """
         n = self.n_levels
-        found = checked_whole("level", level, least=-n, most=n - 1, expected=self._level_names)
+        names = f"0 (coarsest) to {n - 1}, or -1 (full grid) to -{n}"
+        if n == 1:
+            names = "0 or -1: the file has one level, the full grid"
+        found = checked_whole("level", level, least=-n, most=n - 1, expected=names)
         return found + n if found < 0 else found
-
-    @cached_property
-    def _level_names(self) -> str:
-        """Return the valid names of levels, in words."""
-        if self.n_levels == 1:
-            return "0 or -1: the file has one level, the full grid"
-        return f"0 (coarsest) to {self.n_levels - 1}, or -1 (full grid) to -{self.n_levels}"
 
     def level_shape(self, level: int = -1) -> tuple[int, int]:
         """Return the numbers of rows and columns of a level."""
@@ -284,8 +282,10 @@ class DescribedFile:
         """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
         return bounds(self._raster.transform, self.shape)
 
-    def parts(self) -> Parts:
+    def parts(self) -> "Parts":
         """Return the bytes of each part of the file; reads the whole index."""
+        from terrainwave.container.parts import parts_of
+
         parts = parts_of(self.container)
         if METHODS[self.header.method].is_tiled:  # of several levels together
             return replace(parts, heights=(sum(parts.heights),))

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_number
+from terrainwave.arguments import check_vertical, checked_number
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.quantized_mesh import STEPS
 from terrainwave.globe.lonlat import Window
 from terrainwave.globe.tile_scheme import TileScheme
-from terrainwave.place.vertical import check_vertical, describe_as_is, describe_radii
+from terrainwave.place.vertical import describe_as_is, describe_radii
 
 # Share of Cesium's assumed error that a mesh may take; at most 1/16 of the terrain's range of
 # heights.

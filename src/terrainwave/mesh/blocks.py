@@ -6,7 +6,7 @@ and, for the kinds of `tri.stored_kinds`, the block's bytes in the mesh sections
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Executor
 from fractions import Fraction
 from functools import partial
@@ -16,19 +16,19 @@ import numpy as np
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.codes import UNMEASURED, decode_error, encode_error
-from terrainwave.container.header import MAX_MESH_TOLERANCE
+from terrainwave.container.codes import decode_error
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.shares import shares_of
+from terrainwave.mesh.codes import full_shape, has_triangles, mesh_codes, sum_code
 from terrainwave.mesh.trees import BlockCoefficients, ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
-from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, StoredSamples, has_triangles
+from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, StoredSamples
 from terrainwave.tri.zerotree.agreement import BorderVertices
 from terrainwave.tri.zerotree.labels import Trees
 
@@ -135,7 +135,7 @@ class BlockMesher:
         """
         grid = self._grid
         region = grid.block_region(block)
-        n_rows, n_cols = _full_shape(self._grid, block)
+        n_rows, n_cols = full_shape(self._grid, block)
         if not self._has_voids:
             heights, _ = self._decoder.window(block.level, region)
             mask = np.ones((n_rows, n_cols), dtype=np.bool_)
@@ -183,7 +183,7 @@ class BlockMesher:
         """Return whether the block's samples have triangles; decodes only if there may be voids."""
         if self._has_voids:
             return has_triangles(self.samples(block).mask)
-        return min(_full_shape(self._grid, block)) > 1
+        return min(full_shape(self._grid, block)) > 1
 
     def bounded_error(
         self, block: Block, heights: Heights, mask: Mask, lost: Fraction
@@ -220,7 +220,7 @@ class BlockMesher:
         if not by_recursion:
             return codes
         return {
-            block: max(code, _sum_code(self._error_code(block), self.tolerance(block)))
+            block: max(code, sum_code(self._error_code(block), self.tolerance(block)))
             for block, code in codes.items()
         }
 
@@ -299,22 +299,6 @@ class BlockMesher:
         return STORED_KINDS[self.kind].mesh(samples, self.tolerance(block), data)
 
 
-def _full_shape(grid: Grid, block: Block) -> tuple[int, int]:
-    """Return a block's numbers of rows and columns, including those past the raster's edge."""
-    stride = grid.stride(block.level)
-    n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
-    n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
-    return n_rows, n_cols
-
-
-def has_mesh(grid: Grid, block: Block, mask: Mask) -> bool:
-    """Return whether a block has a mesh, by the validity of its samples inside the raster."""
-    if has_triangles(mask):
-        return True
-    outside = [(0, n - own) for n, own in zip(_full_shape(grid, block), mask.shape, strict=True)]
-    return has_triangles(np.pad(mask, outside, mode="edge"))
-
-
 def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
     """Copy the last inside row's validity to outside rows; `beyond` has an apron, True outside."""
     if not n_outside:
@@ -334,49 +318,6 @@ def border_lines(
     `offset` is the position of its first sample in its block of `side` cells.
     """
     return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
-
-
-def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
-    """Return an error as the tolerance in a header: in 1/16 quanta, rounded down."""
-    return min(int(error / quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
-
-
-# Errors
-
-
-def _sum_code(error_code: int, tolerance: int) -> int:
-    """Return the code of Err_Appr + Err_Tri, rounded up."""
-    own = decode_error(error_code) << FRACTION_BITS
-    return encode_error(-(-(own + tolerance) // (1 << FRACTION_BITS)))
-
-
-def unmeasured_codes(
-    grid: Grid, meshed: Iterable[Block], errors: Mapping[Block, int], tolerance: int
-) -> dict[Block, int]:
-    """Return the error codes of unmeasured meshes, for the blocks that have one.
-
-    On the finest level own error plus tolerance is a bound. On coarse ones it is not: codes leave
-    the bound to `BlockMesher.derived_error`.
-
-    Parameters
-    ----------
-    errors : mapping
-        Error codes of blocks.
-    tolerance : int
-        Of the finest meshes, in 1/16 quanta.
-    """
-    return {
-        block: _sum_code(errors[block], tolerance) if block.level == grid.k_max else UNMEASURED
-        for block in meshed
-    }
-
-
-def mesh_codes(errors: dict[Block, int], lost: Fraction) -> dict[Block, int]:
-    """Return the codes of errors, in 1/16 quanta, each with `lost` quanta added."""
-    return {
-        block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
-        for block, error in errors.items()
-    }
 
 
 def measure_meshes(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.blocks import BlockMesher
-from terrainwave.tri.stored_kinds import has_triangles
+from terrainwave.mesh.codes import has_triangles
 from terrainwave.tri.zerotree import agreement
 from terrainwave.tri.zerotree.agreement import BorderVertices
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.codes import has_triangles
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.mesh.trees import coded_source, layer_source
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.mesh_surface import surface_at
-from terrainwave.tri.stored_kinds import has_triangles
 from terrainwave.tri.zerotree.agreement import BorderVertices, Position, agree, border_of_cut
 from terrainwave.tri.zerotree.connect import LooseMesh, loose_mesh
 from terrainwave.tri.zerotree.labels import Trees

@@ -7,7 +7,9 @@ is the second axis if the first one points north and the second one east; all ot
 import contextlib
 import math
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 from terrainwave.errors import TerrainwaveWarning
@@ -27,6 +29,10 @@ _ELLIPSOIDAL = ("ellipsoid", "ellipsoidal")
 _HORIZONTAL = {"east": (1.0, 0.0), "west": (-1.0, 0.0), "north": (0.0, 1.0), "south": (0.0, -1.0)}
 _UNIT_LABELS = {"metre": "m", "meter": "m", "degree": "degrees", "unknown": "unit unknown"}
 _CACHED = 64
+# Degrees, and the share of a pixel by which samples may lie beyond the pole.
+_POLE, _OF_A_PIXEL = 90.0, 0.1
+# Degrees: rasters from 180 to 540 are whole turns, too.
+_MOST_LONGITUDE = 540.0
 
 
 class Axis(NamedTuple):
@@ -241,3 +247,46 @@ def _iau_code(told: dict[str, Any]) -> int | None:
             return int(name["code"])
     inner = [told[key] for key in _INNER if key in told] + told.get("components", [])[:1]
     return next((code for part in inner if (code := _iau_code(part)) is not None), None)
+
+
+def impossible_places(
+    crs_text: str | None,
+    transform: Sequence[float],
+    shape: tuple[int, int],
+    *,
+    is_placed: bool = True,
+) -> str | None:
+    """Return a sentence with the likely cause if samples lie at impossible degrees.
+
+    Centres of samples may lie a tenth of a pixel beyond a pole, which rounding explains; outer
+    edges of a grid with samples on the pole lie half a pixel beyond it.
+    """
+    import numpy as np  # help texts of commands need none
+
+    told = describe_quietly(crs_text)
+    if told is None or not told.in_degrees or not is_placed:
+        return None
+    a, b, c, d, e, f = transform[:6]
+    rows, cols = np.array(list(product((0.5, shape[0] - 0.5), (0.5, shape[1] - 0.5)))).T
+    to_degrees = np.array(told.directions) * [[told.x.factor], [told.y.factor]]
+    places = np.stack([a * cols + b * rows + c, d * cols + e * rows + f], axis=1)
+    lon, lat = (places @ to_degrees).T
+    steps = np.abs([[a, d], [b, e]] @ to_degrees)
+    slack = _OF_A_PIXEL * float(steps[:, 1].max())
+    farthest, widest = float(np.abs(lat).max()), float(np.abs(lon).max())
+    if farthest <= _POLE + slack and widest <= _MOST_LONGITUDE:
+        return None
+    name, values = ("longitudes", lon) if farthest <= _POLE + slack else ("latitudes", lat)
+    found = f"{name} of {values[np.abs(values).argmax()]:.10g}"
+    correct = "correct the place, for example by gdal_edit -a_ullr"
+    if max(farthest, widest) > _MOST_LONGITUDE:
+        cause = (
+            "they look like metres or feet of a map: name its CRS, for example by gdal_edit -a_srs"
+        )
+    elif widest > _POLE:
+        cause = f"the transform is wrong: {correct}"
+    elif float(np.abs(lat).min()) > _POLE:
+        cause = f"x and y look swapped: {correct}"
+    else:
+        cause = f"the transform is wrong, or x and y are swapped: {correct}"
+    return f"samples lie at {found} degrees, which no globe has; {cause}"

@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +25,6 @@ _EAST_NORTH = (1.0, 0.0), (0.0, 1.0)
 _BEYOND_THE_POLE = 2.0
 # Degrees: beyond this a degree of longitude has almost no length.
 _NEAR_THE_POLE = 89.99
-# Degrees, and the share of a pixel by which samples may lie beyond the pole.
-_POLE, _OF_A_PIXEL = 90.0, 0.1
-# Degrees: rasters from 180 to 540 are whole turns, too.
-_MOST_LONGITUDE = 540.0
 # Columns by which a raster may differ from a whole turn.
 _SAME_COLUMN = 0.01
 
@@ -275,47 +270,6 @@ def place_of(
         )
     sphere = Ellipsoid(float(radius), 0.0)
     return replace(place, ellipsoid=sphere, body=body_of_radius(radius), has_own_radius=True)
-
-
-def impossible_places(
-    crs_text: str | None,
-    transform: Sequence[float],
-    shape: tuple[int, int],
-    *,
-    is_placed: bool = True,
-) -> str | None:
-    """Return a sentence with the likely cause if samples lie at impossible degrees.
-
-    Centres of samples may lie a tenth of a pixel beyond a pole, which rounding explains; outer
-    edges of a grid with samples on the pole lie half a pixel beyond it.
-    """
-    told = describe_quietly(crs_text)
-    if told is None or not told.in_degrees or not is_placed:
-        return None
-    a, b, c, d, e, f = transform[:6]
-    rows, cols = np.array(list(product((0.5, shape[0] - 0.5), (0.5, shape[1] - 0.5)))).T
-    to_degrees = np.array(told.directions) * [[told.x.factor], [told.y.factor]]
-    places = np.stack([a * cols + b * rows + c, d * cols + e * rows + f], axis=1)
-    lon, lat = (places @ to_degrees).T
-    steps = np.abs([[a, d], [b, e]] @ to_degrees)
-    slack = _OF_A_PIXEL * float(steps[:, 1].max())
-    farthest, widest = float(np.abs(lat).max()), float(np.abs(lon).max())
-    if farthest <= _POLE + slack and widest <= _MOST_LONGITUDE:
-        return None
-    name, values = ("longitudes", lon) if farthest <= _POLE + slack else ("latitudes", lat)
-    found = f"{name} of {values[np.abs(values).argmax()]:.10g}"
-    correct = "correct the place, for example by gdal_edit -a_ullr"
-    if max(farthest, widest) > _MOST_LONGITUDE:
-        cause = (
-            "they look like metres or feet of a map: name its CRS, for example by gdal_edit -a_srs"
-        )
-    elif widest > _POLE:
-        cause = f"the transform is wrong: {correct}"
-    elif float(np.abs(lat).min()) > _POLE:
-        cause = f"x and y look swapped: {correct}"
-    else:
-        cause = f"the transform is wrong, or x and y are swapped: {correct}"
-    return f"samples lie at {found} degrees, which no globe has; {cause}"
 
 
 _AS_THEY_ARE = ", `frame` native leaves them as they are"

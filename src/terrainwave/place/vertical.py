@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import AS_IS, ELLIPSOID, VERTICAL, check_choice
+from terrainwave.arguments import AS_IS, ELLIPSOID
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.place.bodies import EARTH as THE_EARTH
 from terrainwave.place.description import GEOGRAPHIC, Vertical
@@ -36,12 +36,6 @@ _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(
 RADII = "radii less those of the ellipsoid"
 # Missing files that a message names.
 _MOST_NAMED = 6
-
-
-def check_vertical(vertical: str) -> bool:
-    """Return whether heights must be converted to the ellipsoid."""
-    check_choice("vertical", vertical, VERTICAL)
-    return vertical == ELLIPSOID
 
 
 def note_as_is(crs_text: str | None) -> None:

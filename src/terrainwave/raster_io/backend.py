@@ -1,8 +1,6 @@
-"""`RasterBackend`: a raster behind a source; `Readers`: one raster in several threads."""
+"""`RasterBackend`: a raster behind a source."""
 
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
 from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
+from terrainwave.raster_io.raster_info import stored_nodata
 
 
 class RasterBackend:
@@ -39,6 +38,8 @@ class RasterBackend:
     earlier: EarlierLoss | None = None
     told: Told | None
     came_from: str | None = None
+    # Whether any raster of several says what its numbers mean.
+    is_told = False
 
     def notes(self) -> Iterator[str]:
         """Yield notes on omissions and choices, one sentence each."""
@@ -69,50 +70,20 @@ class RasterBackend:
         """Return the content of a region if the index gives it; None if only reading can tell."""
         return None
 
+    def declared_voids(self, window: Region, heights: NDArray[Any]) -> NDArray[np.bool_]:  # noqa: ARG002
+        """Return which heights of a window have one of the values of `undeclared`."""
+        return np.isin(heights, [stored_nodata(value, self.dtype) for value in self.undeclared])
+
+    def parts(
+        self,
+        max_samples: int,  # noqa: ARG002
+    ) -> Iterator[tuple[str, Told, Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]]]:
+        """Yield the name, own meaning and windows of each raster, if there are several."""
+        return iter(())
+
     def again(self) -> "RasterBackend | None":
         """Return the raster opened again for another thread; None if the file may have changed."""
         return None
 
     def close(self) -> None:
         """Close the file, unless it belongs to the caller."""
-
-
-class Readers:
-    """A raster, opened again for each further thread that reads it.
-
-    If it cannot be opened again, threads take turns.
-    """
-
-    def __init__(self, first: RasterBackend) -> None:
-        self._first = first
-        self._lock = threading.Lock()
-        self._others: list[RasterBackend] = []
-        self._idle: list[RasterBackend] = []
-
-    @contextmanager
-    def lent(self) -> Iterator[RasterBackend]:
-        """Yield a reader for the use of one thread."""
-        other = None
-        if not self._lock.acquire(blocking=False):
-            other = self._other()
-            if other is None:
-                self._lock.acquire()
-        try:
-            yield self._first if other is None else other
-        finally:
-            if other is None:
-                self._lock.release()
-            else:
-                self._idle.append(other)
-
-    def _other(self) -> RasterBackend | None:
-        with suppress(IndexError):
-            return self._idle.pop()
-        other = self._first.again()
-        if other is not None:
-            self._others.append(other)
-        return other
-
-    def close(self) -> None:
-        for backend in (self._first, *self._others):
-            backend.close()

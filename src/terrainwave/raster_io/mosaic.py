@@ -327,7 +327,11 @@ class MosaicBackend(RasterBackend):
             valid[there] |= is_valid
         return heights, valid
 
-    def declared_voids(self, window: Region) -> NDArray[np.bool_]:
+    def declared_voids(
+        self,
+        window: Region,
+        heights: NDArray[Any],  # noqa: ARG002
+    ) -> NDArray[np.bool_]:
         """Return which heights of a window are declared void by their raster, against `nodata`."""
         found = np.zeros(window.shape, dtype=np.bool_)
         for member in self._touching(window):

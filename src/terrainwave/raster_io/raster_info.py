@@ -13,6 +13,7 @@ from terrainwave.arguments import NodataChoice, crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.names import ABOVE, BOTH
+from terrainwave.place.description import impossible_places
 from terrainwave.place.meaning import (
     KINDS,
     RADIUS,
@@ -148,9 +149,6 @@ class RasterInfo:
     @property
     def impossible_places(self) -> str | None:
         """Return a sentence with the likely cause if samples lie at impossible degrees."""
-        # Imported here, because `terrainwave info` needs no rasterio.
-        from terrainwave.place.position import impossible_places
-
         is_placed = self.transform != IDENTITY
         return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 

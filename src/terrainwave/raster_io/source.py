@@ -5,6 +5,7 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -36,13 +37,10 @@ from terrainwave.place.meaning import (
     settled_kind,
 )
 from terrainwave.place.units import in_metres
-from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
-from terrainwave.raster_io.backend import RasterBackend, Readers
+from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.dataset import DatasetBackend, is_twz, open_dataset
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.gdal import scan_windows
-from terrainwave.raster_io.mosaic import MosaicBackend, check_radii
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     RasterInfo,
@@ -121,6 +119,14 @@ class RasterSource:
         Meaning of the numbers by the metadata; None for plain arrays.
     is_asked : bool
         `heights_are` was given.
+    is_file : bool
+        Windows are decoded from a file.
+    earlier : EarlierLoss or None
+        The earlier loss of heights from .twz files, the largest of several.
+    came_from : str or None
+        The .twz file that an array names as its source.
+    undeclared_values : tuple of (int or float)
+        Values that sources declare void, but `nodata` does not.
     is_striped : bool
         True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
         times cheaper than small windows.
@@ -163,7 +169,10 @@ class RasterSource:
         if heights_are is not None:
             self.told = Told(heights_are, "`heights_are`")
         self.is_asked = heights_are is not None
-        self._readers = Readers(self._backend)
+        # Opened again for each further thread that reads it.
+        self._first_free = threading.Lock()
+        self._others: list[RasterBackend] = []
+        self._idle: list[RasterBackend] = []
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -175,6 +184,11 @@ class RasterSource:
         for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
+        backend = self._backend
+        self.earlier, self.came_from = backend.earlier, backend.came_from
+        self.undeclared_values: tuple[int | float, ...] = tuple(backend.undeclared)
+        self.is_file, block_cols = backend.is_file, backend.block_shape[1]
+        self.is_striped = self.is_file and block_cols >= self.info.n_cols > _NARROW_COLS
 
     def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
         """Return the file's nodata value; store the other values that mark voids."""
@@ -257,7 +271,7 @@ class RasterSource:
         low, high = sorted(end * info.scale + info.offset for end in (minimum, maximum))
         metres = self._in_metres((minimum, maximum), info.crs)
         is_mixed = may_have_radii(info.crs, metres) and not are_radii(info.crs, [metres])
-        if is_mixed or (isinstance(self._backend, MosaicBackend) and self._backend.is_told):
+        if is_mixed or self._backend.is_told:
             self._refuse_some_radii(info.crs)
         told = self.told or Told()
         is_unsure = told.kind is not None and told.is_name and low < 0
@@ -290,14 +304,16 @@ class RasterSource:
     def _refuse_some_radii(self, crs_text: str | None) -> None:
         """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
         found = list[tuple[str, Told]]()
-        with self._readers.lent() as backend:
-            parts = backend.parts(_SCAN_SAMPLES) if isinstance(backend, MosaicBackend) else ()
-            for name, told, windows in parts:
+        with self._lent() as backend:
+            for name, told, windows in backend.parts(_SCAN_SAMPLES):
                 metres = (self._in_metres(ends, crs_text) for ends in _ends(windows))
                 kind = by_numbers(told, crs_text, metres)
                 if kind is not None:
                     found.append((name, kind))
-        check_radii(found, crs_text)
+        if found:
+            from terrainwave.raster_io.mosaic import check_radii
+
+            check_radii(found, crs_text)
 
     def _in_metres(self, ends: tuple[float, float], crs_text: str | None) -> tuple[float, float]:
         info = self.info
@@ -311,26 +327,29 @@ class RasterSource:
             n_below += int((self.info.to_physical(heights[valid]) < 0).sum())
         return 2 * n_below > n_valid
 
-    @property
-    def earlier(self) -> EarlierLoss | None:
-        """Return the earlier loss of heights from .twz files, the largest of several; else None."""
-        return self._backend.earlier
+    @contextmanager
+    def _lent(self) -> Iterator[RasterBackend]:
+        """Yield a reader for one thread; they take turns if it cannot be opened again."""
+        other = None
+        if not self._first_free.acquire(blocking=False):
+            other = self._other()
+            if other is None:
+                self._first_free.acquire()
+        try:
+            yield self._backend if other is None else other
+        finally:
+            if other is None:
+                self._first_free.release()
+            else:
+                self._idle.append(other)
 
-    @property
-    def came_from(self) -> str | None:
-        """Return the .twz file that an array names as its source, if any."""
-        return self._backend.came_from
-
-    @property
-    def is_file(self) -> bool:
-        """Return whether windows are decoded from a file."""
-        return self._backend.is_file
-
-    @property
-    def is_striped(self) -> bool:
-        """Return whether a narrow window makes the source decode whole rows of blocks."""
-        block_cols = self._backend.block_shape[1]
-        return block_cols >= self.info.n_cols > _NARROW_COLS and self.is_file
+    def _other(self) -> RasterBackend | None:
+        with suppress(IndexError):
+            return self._idle.pop()
+        other = self._backend.again()
+        if other is not None:
+            self._others.append(other)
+        return other
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
@@ -356,7 +375,7 @@ class RasterSource:
 
     def _read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         interrupts.check()
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             heights, valid = backend.read(row, col, n_rows, n_cols)
         with self._counting:
             self.n_bytes_read += heights.nbytes
@@ -372,7 +391,7 @@ class RasterSource:
 
         None if the source's index does not give it.
         """
-        with self._readers.lent() as backend:
+        with self._lent() as backend:
             even = backend.even(region)
         if even is None or not even.is_valid:
             return even
@@ -392,16 +411,8 @@ class RasterSource:
         if not self._backend.undeclared:
             return None
         heights, valid = self.read(*region)
-        with self._readers.lent() as backend:
-            if isinstance(backend, MosaicBackend):
-                return valid & backend.declared_voids(region)
-        values = [stored_nodata(value, self._dtype) for value in self._backend.undeclared]
-        return valid & np.isin(heights, values)
-
-    @property
-    def undeclared_values(self) -> tuple[int | float, ...]:
-        """Return the values that sources declare void, but `nodata` does not."""
-        return tuple(self._backend.undeclared)
+        with self._lent() as backend:
+            return valid & backend.declared_voids(region, heights)
 
     def holds(self, region: Region, even: Even) -> bool:
         """Read corners and middle of a region; return whether they match the index."""
@@ -454,7 +465,8 @@ class RasterSource:
 
     def close(self) -> None:
         """Close files that were opened here."""
-        self._readers.close()
+        for backend in (self._backend, *self._others):
+            backend.close()
 
     def __enter__(self) -> Self:
         return self
@@ -515,10 +527,14 @@ class _Opening:
                         f"found `georeference` False and {len(source)} rasters, expected one: a"
                         " mosaic is put together by their places"
                     )
+                from terrainwave.raster_io.mosaic import MosaicBackend
+
                 return MosaicBackend(source, self._raster, self.nodata, self.heights_are)
             source = source[0]
         if self._is_raster(source):
             return self._raster(source)
+        from terrainwave.raster_io.arrays import ArrayBackend, LabelledBackend
+
         if isinstance(source, np.ndarray):
             return ArrayBackend(source)
         if hasattr(source, "dims") and hasattr(source, "coords"):

@@ -69,7 +69,12 @@ class TreeDecoder:
         missing: dict[Block, None] = {}
         for key in keys:
             chain = []
-            while key not in missing and self._is_wanting(key, rows.get(key, ALL_ROWS)):
+            # Neither here nor being decoded by another thread.
+            while not (
+                key in missing
+                or self._is_here(key, rows.get(key, ALL_ROWS))
+                or self._cache.is_coming(key)
+            ):
                 chain.append(key)
                 if key.is_root_key:
                     break
@@ -155,10 +160,6 @@ class TreeDecoder:
     def _has_rows(self, key: Block, unit: Decoded, rows: Rows) -> bool:
         end = min(rows.end, self.spec(key).region.n_rows)
         return unit.rows.first <= rows.first and end <= unit.rows.end
-
-    def _is_wanting(self, key: Block, rows: Rows) -> bool:
-        """Say whether rows of a unit are neither here nor being decoded by another thread."""
-        return not self._is_here(key, rows) and not self._cache.is_coming(key)
 
     def unit(self, key: Block, rows: RowsOf = WHOLE) -> Decoded:
         """Return the decoded unit `key`, or some rows of it; what is above is decoded as needed.

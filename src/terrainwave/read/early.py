@@ -16,7 +16,7 @@ from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder, unit_name, units_of
-from terrainwave.read.tile_decoder import make_decoder
+from terrainwave.read.window_reader import make_decoder
 
 # Bytes read first of each payload, for its head; longer heads need more.
 _FIRST_READ = 512

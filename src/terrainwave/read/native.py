@@ -9,7 +9,7 @@ import logging
 import os
 import threading
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.native_library import NativeError, NativeLibrary, is_wanted, loaded
-from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
-from terrainwave.container.sources.ranges import ByteRange
+from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region
 
@@ -43,45 +42,24 @@ _BILINEAR = 0  # of twz_interpolation
 _MOST_RANGES = 256
 
 
-class _Options(ctypes.Structure):
-    _fields_ = [
-        ("size", ctypes.c_size_t),
-        ("allocator", ctypes.c_void_p * _N_POINTERS),
-        ("locks", ctypes.c_void_p * _N_POINTERS),
-        ("cache_bytes", ctypes.c_uint64),
-        ("max_bytes", ctypes.c_uint64),
-        ("kernels", ctypes.c_int),
-    ]
+def _structure(**members: Any) -> Any:
+    """Return a structure of the library; members in their order, with their types."""
+    return type("_Structure", (ctypes.Structure,), {"_fields_": [*members.items()]})
 
 
-class _Range(ctypes.Structure):
-    _fields_ = [
-        ("offset", ctypes.c_uint64),
-        ("length", ctypes.c_uint64),
-        ("is_page", ctypes.c_uint64),
-        ("reserved", ctypes.c_uint64),
-    ]
-
-
-class _Box(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_uint32) for name in ("row", "col", "n_rows", "n_cols")]
-
-
-class _PointsRequest(ctypes.Structure):
-    _fields_ = [
-        ("size", ctypes.c_size_t),
-        ("level", ctypes.c_int),
-        ("interpolation", ctypes.c_int),
-        ("is_own", ctypes.c_int),
-        ("n_points", ctypes.c_size_t),
-        ("rows", ctypes.c_void_p),
-        ("cols", ctypes.c_void_p),
-        ("heights", ctypes.c_void_p),
-        ("valid", ctypes.c_void_p),
-    ]
-
-
+_U64, _U32, _INT = ctypes.c_uint64, ctypes.c_uint32, ctypes.c_int
 _POINTER, _SIZE, _STRIDE = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_ssize_t
+_POINTERS = _POINTER * _N_POINTERS
+_Options = _structure(
+    size=_SIZE, allocator=_POINTERS, locks=_POINTERS, cache_bytes=_U64, max_bytes=_U64, kernels=_INT
+)
+_Range = _structure(offset=_U64, length=_U64, is_page=_U64, reserved=_U64)
+_Box = _structure(row=_U32, col=_U32, n_rows=_U32, n_cols=_U32)
+_PointsRequest = _structure(
+    size=_SIZE, level=_INT, interpolation=_INT, is_own=_INT, n_points=_SIZE, rows=_POINTER,
+    cols=_POINTER, heights=_POINTER, valid=_POINTER,
+)  # fmt: skip
+
 _HANDLE = ctypes.POINTER(ctypes.c_void_p)
 _N = ctypes.POINTER(ctypes.c_size_t)
 _RANGES, _BOX = map(ctypes.POINTER, (_Range, _Box))
@@ -121,14 +99,6 @@ class Library:
         self.allocator = native.plain("twz_python_allocator", _POINTER)()
         self.free_locks = native.plain("twz_python_locks_free", None, _POINTER)
 
-    def needed(self, name: str, handle: int) -> list[tuple[ByteRange, bool]]:
-        """Return which bytes a file or a window needs next, and which of them are index pages."""
-        ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
-        self.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
-        return [
-            (ByteRange(part.offset, part.length), part.is_page == 1) for part in ranges[: n.value]
-        ]
-
 
 @cache
 def installed() -> Library | None:
@@ -155,9 +125,8 @@ class _Handles:
             if self.locks is None:
                 raise MemoryError("no memory for locks")
             options = _Options(ctypes.sizeof(_Options))
-            pointers = ctypes.c_void_p * _N_POINTERS
-            options.allocator = pointers.from_address(library.allocator)
-            options.locks = pointers.from_address(self.locks)
+            options.allocator = _POINTERS.from_address(library.allocator)
+            options.locks = _POINTERS.from_address(self.locks)
             options.cache_bytes, options.max_bytes = self.cache_bytes, _MAX_BYTES
             self.file = library.make("twz_file_new", ctypes.byref(options), size)
             if n_threads > 1:
@@ -212,7 +181,7 @@ class NativeFile:
         self, library: Library, container: Container, *, cache_bytes: int, n_threads: int
     ) -> None:
         self._library = library
-        self._container = container
+        self._container, self._header = container, container.header
         self._cache_bytes, self._n_threads = cache_bytes, n_threads
         self._is_closed = False
         self.renew()
@@ -234,10 +203,6 @@ class NativeFile:
         if self._is_closed and self._handles is not None and self._handles.n_users == 0:
             self._finalizer()
             self._handles = None
-
-    @property
-    def _header(self) -> Header:
-        return self._container.header
 
     @contextmanager
     def _opened(self, *, is_large: bool = False) -> Iterator[_Handles]:
@@ -273,7 +238,7 @@ class NativeFile:
         self._finalizer = weakref.finalize(self, handles.free)
         self._finalizer.atexit = False
         try:
-            self._fetch(_Rounds(self._container), "file", handles.file)
+            self._fetch(self._container.rounds(), "file", handles.file)
         except NativeError as error:
             self._finalizer()
             self._refusal = error
@@ -283,9 +248,15 @@ class NativeFile:
             raise
         return handles
 
-    def _fetch(self, rounds: "_Rounds", kind: str, handle: Any) -> None:
+    def _fetch(self, rounds: RoundReader, kind: str, handle: Any) -> None:
         """Give a file or a window the bytes it needs, all in one request a round."""
-        while wanted := self._library.needed(f"twz_{kind}_need", handle):
+        ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
+        while True:
+            name = f"twz_{kind}_need"
+            self._library.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
+            wanted = [(ByteRange(one.offset, one.length), one.is_page) for one in ranges[: n.value]]
+            if not wanted:
+                return
             # Pages that are here may tell more of what is to be fetched.
             here = [part for part, is_page in wanted if is_page and rounds.has(part)]
             if not here:
@@ -306,7 +277,7 @@ class NativeFile:
         with self._opened(is_large=is_large) as handles:
             for whole in self._parts(level, region, _MOST_FETCHED):
                 parts = list(self._parts(level, whole, most))
-                rounds = _Rounds(self._container)
+                rounds = self._container.rounds()
                 if len(parts) > 1:
                     with self._window(handles, level, whole) as window:
                         self._fetch(rounds, "window", window)
@@ -340,7 +311,7 @@ class NativeFile:
             points = self._library.make("twz_points_new", handles.file, ctypes.byref(asked))
             try:
                 while n_left.value:
-                    self._fetch(_Rounds(self._container), "points", points)
+                    self._fetch(self._container.rounds(), "points", points)
                     with handles.lent_workers() as workers:
                         self._library.call(
                             "twz_points_decode", points, workers, ctypes.byref(n_left)
@@ -405,17 +376,3 @@ class NativeFile:
         if is_own:
             library.call("twz_window_read_own", window, valid.ctypes.data, 0)
         return valid
-
-
-class _Rounds:
-    """Bytes of a file that are fetched in rounds, and stay until the last."""
-
-    def __init__(self, container: Container) -> None:
-        self._reader = container.rounds()
-        self._known: list[ByteRange] = []
-        self.take, self.has = self._reader.take, self._reader.has
-
-    def fetch(self, wanted: Sequence[ByteRange]) -> None:
-        """Fetch what is not here yet of what is wanted."""
-        self._known += wanted
-        self._reader.fetch(self._known)

@@ -1,22 +1,19 @@
 """Decode files whose units are gathered in tiles (method cdf53), on demand, through a cache."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.cdf53.refiner import LevelHeights, decode_tile
+from terrainwave.codec.cdf53.refiner import LevelHeights
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
-from terrainwave.codec.refiner import Decoded, Raw, Refiner, as_array
-from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.refiner import Decoded, Raw, as_array
 from terrainwave.coding.lifting53 import forward_transform, places_of
-from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.names import METHODS, methods_that
+from terrainwave.names import methods_that
 from terrainwave.read.decoder import WHOLE, RowsOf, TreeDecoder, unit_key, unit_name
 from terrainwave.read.fetched import Payloads
 
@@ -140,27 +137,6 @@ class TiledDecoder(TreeDecoder):
             return self._decode_payload(spec, outer, self._fetched.take(key))
         except CorruptStreamError as exc:
             raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
-
-
-def make_decoder(
-    header: Header,
-    payloads: Payloads,
-    cache_bytes: int,
-    *,
-    refiner: Refiner | None = None,
-    are_prefixes: bool = False,
-) -> TreeDecoder:
-    """Return the decoder of a file with this header.
-
-    Its tables are parsed unless `refiner` is given. With `are_prefixes`, payloads may end early
-    (`Terrain.read_early`).
-    """
-    grid, parameters = header.grid, header.codec_parameters
-    if METHODS[header.method].is_tiled:
-        decode = partial(decode_tile, is_prefix=are_prefixes)
-        return TiledDecoder(grid, parameters, payloads, cache_bytes, decode)
-    refiner = refiner or refiner_by_name(header.method, header.file_tables)
-    return TreeDecoder(grid, parameters, refiner, payloads, cache_bytes)
 
 
 def with_coefficients(decoder: TreeDecoder) -> TiledDecoder:

@@ -10,13 +10,16 @@ import logging
 import threading
 import warnings
 from collections.abc import Callable
-from typing import Any, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import ANY, EXACT
-from terrainwave.codec.refiner import Decoded, Raw
+from terrainwave.codec.refiner import Decoded, Raw, Refiner
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.coding.native_library import NativeError
 from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
@@ -24,9 +27,13 @@ from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
+from terrainwave.names import METHODS
 from terrainwave.read.decoder import TreeDecoder, unit_key, units_of
-from terrainwave.read.lost import Lost
-from terrainwave.read.native import NativeError, NativeFile
+from terrainwave.read.fetched import Payloads
+
+if TYPE_CHECKING:
+    from terrainwave.read.lost import Lost
+    from terrainwave.read.native import NativeFile
 
 _log = logging.getLogger(__name__)
 
@@ -38,6 +45,30 @@ _STACK = 4
 # Raw heights, and voids or None.
 _Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
 _Found = TypeVar("_Found")
+
+
+def make_decoder(
+    header: Header,
+    payloads: Payloads,
+    cache_bytes: int,
+    *,
+    refiner: Refiner | None = None,
+    are_prefixes: bool = False,
+) -> TreeDecoder:
+    """Return the decoder of a file with this header.
+
+    Its tables are parsed unless `refiner` is given. With `are_prefixes`, payloads may end early
+    (`Terrain.read_early`).
+    """
+    grid, parameters = header.grid, header.codec_parameters
+    if METHODS[header.method].is_tiled:
+        from terrainwave.codec.cdf53.refiner import decode_tile  # what most files do not need
+        from terrainwave.read.tile_decoder import TiledDecoder
+
+        decode = partial(decode_tile, is_prefix=are_prefixes)
+        return TiledDecoder(grid, parameters, payloads, cache_bytes, decode)
+    refiner = refiner or refiner_by_name(header.method, header.file_tables)
+    return TreeDecoder(grid, parameters, refiner, payloads, cache_bytes)
 
 
 class WindowReader:
@@ -61,7 +92,7 @@ class WindowReader:
         header: Header,
         n_threads: int,
         decoder: Callable[[], TreeDecoder],
-        native: NativeFile | None = None,
+        native: "NativeFile | None" = None,
     ) -> None:
         self._name = name
         self._grid, self._quantizer = header.grid, header.quantizer
@@ -85,8 +116,10 @@ class WindowReader:
             self._native.close()
 
     @property
-    def lost(self) -> list[Lost]:
+    def lost(self) -> "list[Lost]":
         """Return the damaged units that reads have left void, coarse levels first."""
+        from terrainwave.read.lost import Lost
+
         found = []
         for key, problem in sorted(self._problems.copy().items()):
             if key.is_root_key:
@@ -124,7 +157,7 @@ class WindowReader:
 
     def _either(
         self,
-        by_library: Callable[[NativeFile], _Found],
+        by_library: Callable[["NativeFile"], _Found],
         by_units: Callable[[TreeDecoder], _Found],
         on_error: str = "raise",
     ) -> _Found:

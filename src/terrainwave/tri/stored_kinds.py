@@ -58,15 +58,6 @@ class Draft(NamedTuple):
     packed: bytes
 
 
-def has_triangles(mask: NDArray[np.bool_]) -> bool:
-    """Return whether some quad of samples has at least three valid corners."""
-    if np.count_nonzero(mask[:2, :2]) >= 3:  # nearly everywhere
-        return True
-    corners = mask.astype(np.uint8)
-    counts = corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]
-    return bool((counts >= 3).any())
-
-
 def _kept(samples: StoredSamples, demanded: BorderVertices | None) -> NDArray[np.bool_]:
     if demanded is None:
         return samples.locked

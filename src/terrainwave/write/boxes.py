@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.mesh.blocks import unmeasured_codes
+from terrainwave.mesh.codes import unmeasured_codes
 from terrainwave.write.job import Job
 from terrainwave.write.passes.found import Stats
 

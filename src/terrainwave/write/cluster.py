@@ -18,11 +18,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.depot import Depot, store_segments
 from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import N_CODES
+from terrainwave.container.spool import StoredSegment
 from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.writer import store_segments
 from terrainwave.errors import StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -36,7 +36,7 @@ from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.local import Coded
 from terrainwave.write.passes.bench import AskedRaster, Bench
-from terrainwave.write.passes.proof import collected, measured_error
+from terrainwave.write.passes.proof import collected
 from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
@@ -172,8 +172,7 @@ class DistributedPasses:
         site = Site(self._raster, self._depot.root, job, self._level)
         tasks = {region: (site, os.path.abspath(path), region) for region in self._regions(TILE)}
         found = (proved for _, proved in self._run("proving", prove_region, tasks))
-        largest, tiles = collected(found, (self._grid.n_rows, self._grid.n_cols))
-        return measured_error(largest, job.quantizer), tiles
+        return collected(found, (self._grid.n_rows, self._grid.n_cols), job.quantizer)
 
     def close(self) -> None:
         try:

@@ -31,7 +31,6 @@ from terrainwave.container.targets.publication import (
     system_scratch,
 )
 from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.targets.upload import uploaded
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.crew import Crew
@@ -269,10 +268,14 @@ def compress(
     asked = {**_own(AskedRaster, given), "nodata": repr(nodata)}
     del asked["src"]  # by its files or heights
     depends_on = {"command": "compress", **asked, "options": [options.to_metadata(), keep_origin]}
+    if is_url:
+        from terrainwave.container.targets.upload import uploaded  # files need none of it
+
+        target = uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
+    else:
+        target = publish(name, overwrite=overwrite)
     with (
-        uploaded(name, overwrite=overwrite, temp_dir=temp_dir)
-        if is_url
-        else publish(name, overwrite=overwrite) as part,
+        target as part,
         raster.open(warn=True) as source,
         only_writer(final, beside, display_name(name)),
         run_directory(

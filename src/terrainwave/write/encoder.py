@@ -37,7 +37,7 @@ from terrainwave.grid.crew import Crew
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
-from terrainwave.mesh.blocks import has_mesh
+from terrainwave.mesh.codes import has_mesh
 from terrainwave.write.job import Job
 from terrainwave.write.passes.found import Ancestor, Found, Start, Stats
 from terrainwave.write.passes.resuming import KeptUnits
@@ -246,7 +246,12 @@ class TreeEncoder:
             self.on_unit(key, decoded)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
-        start.found.note(self._meshed(blocks, parts))
+        for block, part in zip(blocks, parts, strict=True):
+            inside = grid.block_region(block).slices_in(
+                grid.block_region(block, self.parameters.apron)
+            )
+            is_meshed = has_mesh(grid, block, part.mask[inside])
+            start.found.note({block: BlockStats(has_mesh=is_meshed)})
         if self.parameters.is_faithful and chain:
             core = spec.core.slices_in(spec.region)
             above = chain[-1]
@@ -284,14 +289,6 @@ class TreeEncoder:
         region = self.grid.block_region(block)
         framed = self.grid.block_region(block, self.parameters.apron)
         return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
-
-    def _meshed(self, blocks: list[Block], parts: list[Decoded]) -> Stats:
-        grid, apron = self.grid, self.parameters.apron
-        found: Stats = {}
-        for block, part in zip(blocks, parts, strict=True):
-            inside = grid.block_region(block).slices_in(grid.block_region(block, apron))
-            found[block] = BlockStats(has_mesh=has_mesh(grid, block, part.mask[inside]))
-        return found
 
     def _measure(
         self, start: Start, spec: GroupSpec, originals: Heights, mask: Mask, decoded: Decoded

@@ -31,7 +31,7 @@ from terrainwave.grid.quantum import (
     rounded_up,
 )
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.mesh.blocks import mesh_tolerance
+from terrainwave.mesh.codes import mesh_tolerance
 from terrainwave.names import BOTH, Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
 from terrainwave.raster_io.earlier_loss import NO_LOSS, EarlierLoss

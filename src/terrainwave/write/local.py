@@ -10,22 +10,20 @@ import numpy as np
 
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.container.depot import StoredSegment
 from terrainwave.container.digests import TileDigests
-from terrainwave.container.spool import LikeSegment, SegmentSpool
+from terrainwave.container.spool import LikeSegment, SegmentSpool, StoredSegment
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Block
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.mesh.blocks import measure_meshes
-from terrainwave.read.tile_decoder import make_decoder
+from terrainwave.read.window_reader import make_decoder
 from terrainwave.write.boxes import Box, Codes
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.passes.bench import Bench
 from terrainwave.write.passes.found import Stats
-from terrainwave.write.passes.proof import collected, compared, comparison_of, measured_error
+from terrainwave.write.passes.proof import collected, compared, comparison_of
 from terrainwave.write.passes.resuming import KeptUnits, is_by_heights, same_heights
 from terrainwave.write.passes.windows import Windows, check_free_space
 from terrainwave.write.pyramid import Pyramid
@@ -130,6 +128,8 @@ class LocalPasses:
             codes = Codes(job, stats, below)
             mesh_errors = None
             if job.options.measures_meshes:
+                from terrainwave.mesh.blocks import measure_meshes  # most runs make none
+
                 header = job.header(file_tables)
                 decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
                 while units:  # not decoded again
@@ -154,9 +154,9 @@ class LocalPasses:
             comparison_of(path, job, self.windows, count) as comparison,
         ):
             found = compared(path, comparison.shares(self.windows), comparison.all, self.bench)
-            largest, tiles = collected(found, (grid.n_rows, grid.n_cols))
+            proved = collected(found, (grid.n_rows, grid.n_cols), job.quantizer)
         count(grid.n_rows * grid.n_cols)  # voids, and what an earlier run has compared
-        return measured_error(largest, job.quantizer), tiles
+        return proved
 
     def close(self) -> None:
         if self._windows is not None:

@@ -22,7 +22,8 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Region
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.mesh.blocks import Originals, measure_meshes, mesh_tolerance
+from terrainwave.mesh.blocks import Originals, measure_meshes
+from terrainwave.mesh.codes import mesh_tolerance
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS
 from terrainwave.progress import ProgressCallback, Reporter

@@ -31,10 +31,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.codec.cdf53.tile_layout import TileLayout
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
-from terrainwave.coding.lifting53 import lowpass_window
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
@@ -434,6 +432,9 @@ class Pyramid:
         first = region.row, region.col
         place = (fine.row, fine.col), self._shape(shift - 1), first, region.shape
         if is_in_tiles:
+            from terrainwave.codec.cdf53.tile_layout import TileLayout
+            from terrainwave.coding.lifting53 import lowpass_window
+
             tiles = TileLayout(self._grid).lowpass_tiles(level)
             return (lowpass_window(self.steps(level, fine), *place, *tiles),)
         heights = lowpass_analysis(self.heights(level, fine), *place)

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 from terrainwave.codec.refiner import Heights, Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
+from terrainwave.container.depot import Depot, StoredSegments, store_segments, stored_places
+from terrainwave.container.spool import StoredSegment
 from terrainwave.container.spool_sink import SpoolSink, copied_segments
 from terrainwave.container.targets.publication import scratch_directory
-from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -106,7 +106,7 @@ class Site:
             depth = head.level - self.level
             return stored(Block(self.level, head.row >> depth, head.col >> depth))[head]
 
-        return StoredSegments(self.grid, self.depot, place)
+        return StoredSegments(self.grid, place)
 
     @contextmanager
     def decoded(self, stage: str, top_stage: str) -> Iterator[tuple[TreeDecoder, StoredSegments]]:

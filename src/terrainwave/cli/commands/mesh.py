@@ -35,7 +35,7 @@ from terrainwave.cli.own_options import (
     with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export import MESH_ENDINGS, TILE, Shape
+from terrainwave.export.shapes import MESH_ENDINGS, TILE, Shape
 from terrainwave.names import DEFAULT_MESH, MESH_KINDS
 from terrainwave.option_sets import BOUNDS, WINDOW
 

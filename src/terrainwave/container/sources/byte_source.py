@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any, BinaryIO
 
-from terrainwave.container.sources.ranges import ByteRange, merge_ranges, split_merged
+from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
@@ -36,8 +36,9 @@ class ByteSource:
         """Return the bytes of each range, in the given order; near ones in one request."""
         for wanted in ranges:
             self._check_range(*wanted)
-        merged = merge_ranges(ranges)
-        return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
+        reader = RoundReader(self)
+        reader.fetch(ranges)
+        return [reader.take(wanted) for wanted in ranges]
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         """Return the bytes of each range, in the given order; each is one request."""

@@ -1,4 +1,4 @@
-"""Ranges of bytes: requests that cover them, and the bytes fetched.
+"""Ranges of bytes: requests that cover them, and reading in rounds.
 
 A request to a server a hundred milliseconds away takes as long as some 500 KiB, and storage is
 billed by the request. So gaps between wanted ranges are bridged, the shortest first: that saves
@@ -7,9 +7,9 @@ same.
 """
 
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 MAX_GAP = 1024 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
@@ -60,44 +60,31 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
 
 
-class MergedRange(NamedTuple):
-    """A range to request, and the numbers of the wanted ranges inside it."""
-
-    span: ByteRange
-    members: list[int]
-
-
-def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[MergedRange]:
+def merge_ranges(ranges: Iterable[ByteRange], budget: Budget | None = None) -> list[ByteRange]:
     """Return requests that cover `ranges`, by offset, up to 16 MiB each.
 
     The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of only these
     ranges. Empty ranges need no request.
     """
-    order = [number for number in range(len(ranges)) if ranges[number].length]
-    order.sort(key=lambda number: ranges[number])
-    runs: list[MergedRange] = []
-    for member in order:
-        wanted = ranges[member]
-        if not runs or not _extend(runs, wanted, [member], max_gap=0):
-            runs.append(MergedRange(wanted, [member]))
-    if budget is None:
-        budget = budget_of(sum(span.length for span, _ in runs))
-    bridged = _gaps_to_bridge([span for span, _ in runs], budget)
-    merged: list[MergedRange] = []
-    for number, (span, members) in enumerate(runs):
-        if number not in bridged or not _extend(merged, span, members, MAX_GAP):
-            merged.append(MergedRange(span, members))
+    runs: list[ByteRange] = []
+    for wanted in sorted(part for part in ranges if part.length):
+        if not runs or not _extend(runs, wanted, max_gap=0):
+            runs.append(wanted)
+    bridged = _gaps_to_bridge(runs, budget or budget_of(sum(span.length for span in runs)))
+    merged: list[ByteRange] = []
+    for number, span in enumerate(runs):
+        if number not in bridged or not _extend(merged, span, MAX_GAP):
+            merged.append(span)
     return merged
 
 
-def _extend(merged: list[MergedRange], span: ByteRange, members: list[int], max_gap: int) -> bool:
+def _extend(merged: list[ByteRange], span: ByteRange, max_gap: int) -> bool:
     """Add `span` to the last request if it fits; return whether it does."""
-    last = merged[-1].span
+    last = merged[-1]
     end = max(last.end, span.end)
     if span.offset - last.end > max_gap or end - last.offset > MAX_REQUEST:
         return False
-    joined = ByteRange(last.offset, end - last.offset)
-    merged[-1] = MergedRange(joined, merged[-1].members + members)
+    merged[-1] = ByteRange(last.offset, end - last.offset)
     return True
 
 
@@ -112,32 +99,67 @@ def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
     return {number for _, number in shortest[:n_bridged]}
 
 
-def split_merged(
-    ranges: Sequence[ByteRange], merged: Sequence[MergedRange], spans: Sequence[bytes]
-) -> list[bytes]:
-    """Return the bytes of each of `ranges` from the bytes of the requests that cover them."""
-    result = [b""] * len(ranges)
-    for (span, members), data in zip(merged, spans, strict=True):
-        for member in members:
-            first = ranges[member].offset - span.offset
-            result[member] = data[first : first + ranges[member].length]
-    return result
+class _Source(Protocol):
+    is_local: bool
+
+    def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]: ...
 
 
-class FetchedBytes:
-    """Bytes of a file fetched so far, in pieces; `n_bytes` is their number."""
+class RoundReader:
+    """Fetches ranges of a source, a round at a time; all rounds share one budget.
 
-    def __init__(self) -> None:
-        self.n_bytes = 0
+    Earlier rounds give the positions of later ranges. All bytes fetched stay.
+
+    Parameters
+    ----------
+    start : bytes
+        Beginning of the source, as far as it is known.
+    """
+
+    def __init__(self, source: _Source, start: bytes = b"") -> None:
+        self._source = source
         self._pieces: list[tuple[int, bytes]] = []  # disjoint, by offset
+        self._add(0, start)
+        self._wanted: dict[ByteRange, None] = {}
+        self._n_requests = 0
+        self._n_read = 0
 
-    def add(self, offset: int, data: bytes) -> None:
-        """Store bytes fetched from `offset` on; existing bytes do not change."""
-        for part in self.missing(ByteRange(offset, len(data))):
+    def fetch(self, wanted: Iterable[ByteRange]) -> None:
+        """Fetch the missing parts of `wanted`, in one round.
+
+        They count as needed together with those of earlier rounds, which may be among them.
+        """
+        self._wanted |= dict.fromkeys(wanted)
+        missing = [part for place in self._wanted for part in self._missing(place)]
+        n_wanted = sum(place.length for place in self._wanted)
+        n_useful = n_wanted - sum(part.length for part in missing)
+        n_wasted = max(0, self._n_read - n_useful)
+        budget = budget_of(n_wanted, self._n_requests, n_wasted)
+        if self._source.is_local:
+            budget = budget._replace(most_waste=budget.waste)
+        spans = merge_ranges(missing, budget)
+        for span, data in zip(spans, self._source.read_spans(spans), strict=True):
+            self._add(span.offset, data)
+            self._n_read += span.length
+        self._n_requests += len(spans)
+
+    def has(self, place: ByteRange) -> bool:
+        """Return whether a range is fetched already."""
+        return not self._missing(place)
+
+    def take(self, wanted: ByteRange) -> bytes:
+        """Return the bytes of a fetched range."""
+        return b"".join(
+            piece[max(0, wanted.offset - start) : wanted.end - start]
+            for start, piece in self._overlapping(wanted)
+        )
+
+    def _add(self, offset: int, data: bytes) -> None:
+        """Store bytes from `offset` on; existing bytes do not change."""
+        for part in self._missing(ByteRange(offset, len(data))):
             insort(self._pieces, (part.offset, data[part.offset - offset : part.end - offset]))
-            self.n_bytes += part.length
 
-    def missing(self, wanted: ByteRange) -> list[ByteRange]:
+    def _missing(self, wanted: ByteRange) -> list[ByteRange]:
         """Return the parts of a range that are not fetched, without empty ones."""
         parts, pos = [], wanted.offset
         for start, piece in self._overlapping(wanted):
@@ -147,13 +169,6 @@ class FetchedBytes:
         if pos < wanted.end:
             parts.append(ByteRange(pos, wanted.end - pos))
         return parts
-
-    def take(self, wanted: ByteRange) -> bytes:
-        """Return the bytes of a completely fetched range."""
-        return b"".join(
-            piece[max(0, wanted.offset - start) : wanted.end - start]
-            for start, piece in self._overlapping(wanted)
-        )
 
     def _overlapping(self, wanted: ByteRange) -> Iterator[tuple[int, bytes]]:
         first = bisect_right(self._pieces, wanted.offset, key=lambda piece: piece[0]) - 1

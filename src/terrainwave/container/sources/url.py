@@ -20,7 +20,7 @@ import threading
 import time
 import urllib.request
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -151,7 +151,48 @@ class _Reply(NamedTuple):
         return 0.0
 
 
-class HttpSource(ByteSource):
+class _UrlSource(ByteSource):
+    """A source whose requests are repeated; `n_replies` so far, for tests of waiting."""
+
+    # Errors of requests, and those that a retry may help.
+    _failing: tuple[type[Exception], ...] = (OSError, http.client.HTTPException)
+    _passing = _failing
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self.name = display_name(url)
+        self.n_replies = 0
+
+    def _repeat(self, ask: Callable[..., Any], *args: Any, **options: Any) -> Any:
+        """Return the result of a request; of a busy server, or a failing one, the last."""
+        for delay in (*_DELAYS, None):
+            try:
+                reply = ask(*args, **options)
+                if not isinstance(reply, _Reply):  # these are counted as they come
+                    self.n_replies += 1
+                    return reply
+                if delay is None or reply.status not in _BUSY:
+                    return reply
+                delay = max(delay, min(reply.seconds_to_wait, MAX_WAIT))
+                reason = f"status {reply.status}"
+            except TerrainwaveError:
+                raise
+            except FileNotFoundError as error:
+                raise StorageError(f"cannot read {self.name}: no such file") from error
+            except self._failing as error:
+                is_passing = isinstance(error, self._passing) and not isinstance(error, _LASTING)
+                if delay is None or not is_passing:
+                    raise _unreadable(self.name, error) from error
+                reason = type(error).__name__
+            _log.info("%s: %s, asking again in %g s", self.name, reason, delay)
+            self._wait(delay)
+        raise AssertionError("the last attempt returns or raises")
+
+    def _wait(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+class HttpSource(_UrlSource):
     """A file on a web server with byte ranges, or a small one on a server without.
 
     Opening is one request, for the first 16 KiB. Retries and error messages are those of the
@@ -165,11 +206,9 @@ class HttpSource(ByteSource):
     """
 
     def __init__(self, url: str, version: _Version = _Version()) -> None:  # noqa: B008  immutable
-        self._url = url
-        self.name = display_name(url)
+        super().__init__(url)
         self._named = web_address(url)
         self._resolved = self._named
-        self.n_replies = 0  # so far, for tests of waiting
         self._connections = Connections()
         self.renew()
         renew_after_fork(self)
@@ -207,17 +246,17 @@ class HttpSource(ByteSource):
 
     def _request(self, wanted: ByteRange) -> bytes:
         """Return the existing bytes of `wanted`; sets `size` the first time."""
-        reply = self._ask(wanted)
+        reply = self._repeat(self._ask, wanted)
         if reply.status == 412 and self._obeys_if_match:
             # A weak ETag of the same file does not match: an unconditional reply decides.
             self._obeys_if_match = False
-            reply = self._ask(wanted)
+            reply = self._repeat(self._ask, wanted)
         match = _CONTENT_RANGE.fullmatch(reply.headers.get("Content-Range", "").strip())
         if reply.status == 416 and self.size == -1:
             if match and int(match[3]) == 0:
                 self.size = 0
                 return b""
-            reply = self._ask(None)  # it does not clip ranges at the end of the file
+            reply = self._repeat(self._ask, None)  # it does not clip ranges at the end of the file
         elif reply.status == 416 and match and int(match[3]) != self.size:
             raise _changed(self.name)
         if reply.status == 200:
@@ -301,35 +340,11 @@ class HttpSource(ByteSource):
         kind = SourceUnavailableError if reply.status in _BUSY else StorageError
         return kind(f"cannot read {self.name}: {problem}")
 
-    def _ask(self, wanted: ByteRange | None) -> _Reply:
-        """Return the first reply that is neither a redirect nor from a busy server."""
-        for delay in _DELAYS:
-            try:
-                reply = self._ask_once(wanted)
-                if reply.status not in _BUSY:
-                    return reply
-                delay = max(delay, min(reply.seconds_to_wait, MAX_WAIT))
-                reason = f"status {reply.status}"
-            except _LASTING as error:
-                raise _unreadable(self.name, error) from error
-            except (OSError, http.client.HTTPException) as error:
-                if isinstance(error, TerrainwaveError):
-                    raise
-                reason = type(error).__name__
-            _log.info("%s: %s, asking again in %g s", self.name, reason, delay)
-            self._wait(delay)
-        try:
-            return self._ask_once(wanted)
-        except (OSError, http.client.HTTPException) as error:
-            if isinstance(error, TerrainwaveError):
-                raise
-            raise _unreadable(self.name, error) from error
-
     def _wait(self, seconds: float) -> None:
         if self._is_closed or self._closing.wait(seconds):
             raise StorageError(f"{self.name} is closed")
 
-    def _ask_once(self, wanted: ByteRange | None) -> _Reply:
+    def _ask(self, wanted: ByteRange | None) -> _Reply:
         reply = self._follow(self._resolved, wanted)
         # The target of a redirect may be signed for a few minutes only.
         if reply.status in _MAY_EXPIRE | {404, 410} and self._resolved != self._named:
@@ -473,7 +488,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-class FsspecSource(ByteSource):
+class FsspecSource(_UrlSource):
     """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
 
     Parameters
@@ -482,12 +497,13 @@ class FsspecSource(ByteSource):
         Required version according to the file system; by default the current one.
     """
 
+    # File systems raise errors of their libraries, most of which are not OSErrors.
+    _failing, _passing = (Exception,), (ConnectionError, TimeoutError)
+
     def __init__(self, url: str, version: str | None = None) -> None:
-        self._url = url
-        self.name = display_name(url)
-        self.n_replies = 0  # so far, for tests of waiting
+        super().__init__(url)
         fsspec = need("fsspec", extra="remote", purpose=f"reading {self.name}")
-        self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
+        self._fs, self._path = self._repeat(fsspec.core.url_to_fs, url)
         info = self._info()
         if info.get("size") is None:
             raise StorageError(f"{self.name}: its size is not known; download it first")
@@ -509,28 +525,8 @@ class FsspecSource(ByteSource):
 
     def _info(self) -> dict[str, Any]:
         self._fs.invalidate_cache(self._path)
-        info: dict[str, Any] = self._call(self._fs.info, self._path)
+        info: dict[str, Any] = self._repeat(self._fs.info, self._path)
         return info
-
-    def _call(self, function: Any, *args: Any, **options: Any) -> Any:
-        # File systems raise errors of their libraries, most of which are not OSErrors.
-        for delay in (*_DELAYS, None):
-            try:
-                result = function(*args, **options)
-                self.n_replies += 1
-                return result
-            except TerrainwaveError:
-                raise
-            except FileNotFoundError as error:
-                raise StorageError(f"cannot read {self.name}: no such file") from error
-            except Exception as error:
-                is_passing = isinstance(error, ConnectionError | TimeoutError)
-                if delay is None or not is_passing or isinstance(error, _LASTING):
-                    raise _unreadable(self.name, error) from error
-                reason = type(error).__name__
-                _log.info("%s: %s, asking again in %g s", self.name, reason, delay)
-                time.sleep(delay)
-        raise AssertionError("the last attempt returns or raises")
 
     def _read(self, offset: int, length: int) -> bytes:
         return self._read_spans([ByteRange(offset, length)])[0]
@@ -539,7 +535,7 @@ class FsspecSource(ByteSource):
         asked = [span for span in spans if span.length]
         n_bytes = sum(span.length for span in asked)
         _log.debug("%s: %d ranges, %d bytes", self.name, len(asked), n_bytes)
-        replies = self._call(
+        replies = self._repeat(
             self._fs.cat_ranges,
             [self._path] * len(asked),
             [span.offset for span in asked],

@@ -18,9 +18,9 @@ from terrainwave import interrupts
 from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import naming_full_disk, storage_errors
 from terrainwave.container.targets.unfinished import (
+    CAN_RENAME_OPEN_FILES,
     RETRIES,
     Part,
-    can_rename_open_files,
     create_locked,
     dispose,
     leftovers,
@@ -92,7 +92,7 @@ def publish(
             with suppress(FileNotFoundError):
                 os.chmod(part.path, stat.S_IMODE(os.stat(final).st_mode))
         _check_target(final, overwrite)
-        if not can_rename_open_files():
+        if not CAN_RENAME_OPEN_FILES:
             part.file.close()
         with interrupts.publishing(os.fspath(target)):
             _replace(part.path, final)
@@ -100,7 +100,13 @@ def publish(
         _log.debug("wrote %s", final)
         if not is_update:
             remove_of_gdal(target, *OF_GDAL)
-        _sync_directory(final.parent)
+        # The new name survives a power cut, if the system can open directories.
+        with suppress(OSError):
+            handle = os.open(final.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
     finally:
         dispose(part, [] if is_published else created)
 
@@ -337,13 +343,3 @@ def _replace(part: Path, final: Path) -> None:
                 time.sleep(delay)
                 delay = min(2 * delay, 1.0)
         os.replace(part, final)
-
-
-def _sync_directory(directory: Path) -> None:
-    """Make the new name survive a power cut, if the system can open directories."""
-    with suppress(OSError):
-        handle = os.open(directory, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -28,6 +28,7 @@ except ImportError:
     msvcrt = None  # type: ignore[assignment]
 
 RETRIES = 10
+CAN_RENAME_OPEN_FILES = fcntl is not None  # Windows cannot
 RUN_SUFFIX = ".twz-run"
 # Binary mode, and no symbolic links, if the system supports these flags.
 _PLAIN = getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
@@ -44,11 +45,6 @@ class Part:
 
     path: Path
     file: BinaryIO
-
-
-def can_rename_open_files() -> bool:
-    """Return whether this system can rename open files; Windows cannot."""
-    return fcntl is not None
 
 
 def leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import rasterio
@@ -96,14 +96,6 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
         dataset.descriptions = (info.description,)
 
 
-class _Written(NamedTuple):
-    """A written window, and checksums of its heights and of its mask, if any."""
-
-    window: Window
-    crc: int
-    mask_crc: int | None
-
-
 class _Threads:
     """Number of threads that GDAL may compress with.
 
@@ -178,11 +170,20 @@ class RasterSink:
         self._cog = cog
         self._n_threads = _THREADS.allowed(n_threads)
         self._dtype = np.dtype(info.dtype)
+        # Void windows may be left out: they read as the nodata value.
+        self.may_be_sparse = info.nodata is not None and info.mask_kind != "mask" and not cog
         self._lock = threading.Lock()
-        self._written: list[_Written] = []
+        # Each window, and checksums of its heights and of its mask, if any.
+        self._written: list[tuple[Window, int, int | None]] = []
         with ExitStack() as files:
             self._target = files.enter_context(publish(path, overwrite)).path
-            self._check_free_space()
+            folder = self._target.parent
+            free = shutil.disk_usage(folder).free
+            if free < info.n_bytes * _SMALLEST_SHARE:
+                raise StorageError(
+                    f"cannot write {self._path}: {free:,} bytes are free in {folder}, the raster is"
+                    f" {info.n_bytes:,} bytes uncompressed"
+                )
             # A COG is a translation of a finished file.
             self._part = files.enter_context(scratch(path)).path if cog else self._target
             try:
@@ -195,15 +196,6 @@ class RasterSink:
             except GDAL_ERRORS as error:
                 raise self._cannot_write(error) from error
             self._files = files.pop_all()
-
-    def _check_free_space(self) -> None:
-        folder = self._target.parent
-        free = shutil.disk_usage(folder).free
-        if free < self.info.n_bytes * _SMALLEST_SHARE:
-            raise StorageError(
-                f"cannot write {self._path}: {free:,} bytes are free in {folder}, the raster is"
-                f" {self.info.n_bytes:,} bytes uncompressed"
-            )
 
     def _create(self) -> Any:
         profile = geotiff_profile(self.info) | {
@@ -221,11 +213,6 @@ class RasterSink:
             if self._stated:
                 dataset.update_tags(1, ns=DOMAIN, **self._stated)
         return dataset
-
-    @property
-    def may_be_sparse(self) -> bool:
-        """Return whether void windows may be left out: they read as the nodata value."""
-        return self.info.nodata is not None and self.info.mask_kind != "mask" and not self._cog
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
         """Yield windows of whole tiles that cover the grid once, in file order."""
@@ -253,7 +240,7 @@ class RasterSink:
                 if info.mask_kind == "mask":
                     self._dataset.write_mask(valid, window=window)
                     mask_crc = zlib.crc32(np.packbits(valid).data)
-                self._written.append(_Written(window, zlib.crc32(heights.data), mask_crc))
+                self._written.append((window, zlib.crc32(heights.data), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
         # GDAL's threads report no errors: all windows would be written, with a message of libtiff
@@ -311,15 +298,22 @@ class RasterSink:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             try:
-                is_complete = _holds_all_tiles(
-                    part, may_be_sparse=self.may_be_sparse
-                ) and self._holds_what_was_written(part)
+                is_complete = self._holds_what_was_written(part)
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
             raise self._full_disk()
 
     def _holds_what_was_written(self, part: Path) -> bool:
+        size = part.stat().st_size
+        with rasterio.open(part) as dataset:
+            for (row, col), _ in dataset.block_windows(1):
+                offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
+                if offset is None and self.may_be_sparse:  # void tiles may be missing
+                    continue
+                n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
+                if offset is None or int(offset) + int(n_bytes) > size:
+                    return False
         with rasterio.open(part, num_threads=self._n_threads) as dataset:
             for window, crc, mask_crc in self._written:
                 if zlib.crc32(dataset.read(1, window=window).data) != crc:
@@ -363,20 +357,6 @@ def _refusal(folder: Path) -> OSError | None:
     except OSError as error:
         return error
     return None
-
-
-def _holds_all_tiles(path: Path, *, may_be_sparse: bool) -> bool:
-    """Return whether all tiles lie inside a file; in a sparse one, void tiles may be missing."""
-    size = path.stat().st_size
-    with rasterio.open(path) as dataset:
-        for (row, col), _ in dataset.block_windows(1):
-            offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
-            if offset is None and may_be_sparse:
-                continue
-            n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
-            if offset is None or int(offset) + int(n_bytes) > size:
-                return False
-    return True
 
 
 class _Aborted(Exception):

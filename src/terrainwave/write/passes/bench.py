@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,14 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.file.raster import raster_source
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block
-from terrainwave.mesh.blocks import BlockMesher
-from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Base, Pyramid, SourceWindows, SubtreeRegion
+
+if TYPE_CHECKING:
+    from terrainwave.mesh.blocks import BlockMesher
 
 
 class AskedRaster(NamedTuple):
@@ -96,8 +97,10 @@ class Bench:
 
     def meshes(
         self, header: Header, decoder: TreeDecoder, errors: Mapping[Block, int]
-    ) -> tuple[BlockMesher, dict[Block, bytes]]:
+    ) -> tuple["BlockMesher", dict[Block, bytes]]:
         """Return the mesher of a file without meshes, and the sections that it will have."""
+        from terrainwave.mesh.sections import make_meshes  # most runs make none
+
         return make_meshes(
             header.grid,
             decoder,

@@ -160,14 +160,40 @@ class Comparison:
         """Compare windows and blocks, as `unproved` yields them."""
         all_found = []
         for one in whole:
-            all_found.append(self._block(one) if isinstance(one, Block) else self._window(one))
+            all_found.append(self._block(one) if isinstance(one, Block) else self.window(one))
             self.count(_n_samples(self.terrain.grid, one))
         return together(all_found)
 
-    def _window(self, window: Region) -> Proved:
-        return compare_window(
-            self.terrain, self.source, window, self.allowed, self.has_digests, self.side
-        )
+    def window(self, region: Region) -> Proved:
+        """Return the largest error in a window, and the digests of its tiles if wanted."""
+        raw, valid = self.source.read(*region)
+        decoded, decoded_valid = self.terrain.read_with_mask(region)
+        if not np.array_equal(valid, decoded_valid):
+            row, col = np.argwhere(valid != decoded_valid)[0] + (region.row, region.col)
+            raise BoundViolationError(
+                f"the decoded mask differs from the source's at row {row}, column {col};"
+                f" {OUR_FAULT}"
+            )
+        if not valid.any():
+            return NOTHING
+        if self.terrain.quantizer.remainder_bytes:
+            _compare_bits(raw, decoded, valid, region)
+        largest = _largest_error(raw, decoded, valid)
+        if not largest <= self.allowed:  # a NaN is not within the bound
+            errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
+            at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
+            raise BoundViolationError(
+                f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
+                f" {self.allowed:g}; {OUR_FAULT}"
+            )
+        if self.side and (wrong := valid & _is_beyond(raw, decoded, self.side)).any():
+            row, col = np.argwhere(wrong)[0] + (region.row, region.col)
+            wrong_side = "below" if self.side > 0 else "above"
+            raise BoundViolationError(
+                f"the decoded number at row {row}, column {col} is {wrong_side} its original,"
+                f" against the one-sided bound; {OUR_FAULT}"
+            )
+        return Proved(largest, tile_digests(region, decoded, valid) if self.has_digests else {})
 
     def shares(
         self, source: IndexedWindows, within: Region | None = None
@@ -214,48 +240,11 @@ class Comparison:
                 at = [(place.row // TILE, place.col // TILE) for place in places]
                 return Proved(float(errors.max()), dict.fromkeys(at, digest))
         side = _side_of(grid)
-        return together(map(self._window, _own_samples(grid, block).tiles(side, side)))
+        return together(map(self.window, _own_samples(grid, block).tiles(side, side)))
 
 
 def _side_of(grid: Grid) -> int:
     return max(2 * grid.block, _PROOF_SIDE)
-
-
-def compare_window(
-    terrain: TerrainFile,
-    source: SourceWindows,
-    region: Region,
-    allowed: float,
-    has_digests: bool,
-    side: int = 0,
-) -> Proved:
-    """Return the largest error in a window, and the digests of its tiles if `has_digests`."""
-    raw, valid = source.read(*region)
-    decoded, decoded_valid = terrain.read_with_mask(region)
-    if not np.array_equal(valid, decoded_valid):
-        row, col = np.argwhere(valid != decoded_valid)[0] + (region.row, region.col)
-        raise BoundViolationError(
-            f"the decoded mask differs from the source's at row {row}, column {col}; {OUR_FAULT}"
-        )
-    if not valid.any():
-        return NOTHING
-    if terrain.quantizer.remainder_bytes:
-        _compare_bits(raw, decoded, valid, region)
-    largest = _largest_error(raw, decoded, valid)
-    if not largest <= allowed:  # a NaN is not within the bound
-        errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
-        at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
-        raise BoundViolationError(
-            f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
-            f" {allowed:g}; {OUR_FAULT}"
-        )
-    if side and (wrong := valid & _is_beyond(raw, decoded, side)).any():
-        row, col = np.argwhere(wrong)[0] + (region.row, region.col)
-        raise BoundViolationError(
-            f"the decoded number at row {row}, column {col} is {'below' if side > 0 else 'above'}"
-            f" its original, against the one-sided bound; {OUR_FAULT}"
-        )
-    return Proved(largest, tile_digests(region, decoded, valid) if has_digests else {})
 
 
 def _is_beyond(
@@ -306,20 +295,17 @@ def allowed_error(quantizer: Quantizer, raw_bound: float, error: float) -> float
     return raw_bound + (0 if quantizer.is_strict(raw_bound, error) else quantizer.float_error)
 
 
-def measured_error(largest: float, quantizer: Quantizer) -> float:
-    """Return the largest difference of stored values as an error of heights."""
-    if quantizer.float_error:
-        # On a decimal grid heights are multiples of p, and floats are off by a spacing.
-        return round(largest / quantizer.quantum) * quantizer.quantum
-    return largest
-
-
-def collected(found: Iterable[Proved], shape: tuple[int, int]) -> tuple[float, TileDigests]:
+def collected(
+    found: Iterable[Proved], shape: tuple[int, int], quantizer: Quantizer
+) -> tuple[float, TileDigests]:
     """Return the largest error of all parts of a raster, and the digests of its tiles."""
     largest, tiles = 0.0, TileDigests(shape)
     for one in found:
         largest = max(largest, one.error)
         tiles.add(one.tiles)
+    if quantizer.float_error:
+        # On a decimal grid heights are multiples of p, and floats are off by a spacing.
+        largest = round(largest / quantizer.quantum) * quantizer.quantum
     return largest, tiles
 
 

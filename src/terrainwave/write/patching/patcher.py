@@ -1,7 +1,7 @@
 """Passes of `patch` over a file, from the new heights to the proof."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fractions import Fraction
 
@@ -21,10 +21,11 @@ from terrainwave.errors import BoundViolationError, CorruptStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders
-from terrainwave.mesh.blocks import measure_meshes, mesh_codes, unmeasured_codes
+from terrainwave.mesh.blocks import measure_meshes
+from terrainwave.mesh.codes import mesh_codes, unmeasured_codes
 from terrainwave.mesh.trees import tree_source
 from terrainwave.read.decoder import unit_key
-from terrainwave.read.tile_decoder import make_decoder
+from terrainwave.read.window_reader import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes, set_codes
 from terrainwave.write.encoder import TreeEncoder, distance_of
 from terrainwave.write.passes.bench import Bench
@@ -32,14 +33,12 @@ from terrainwave.write.passes.found import Found, Start
 from terrainwave.write.passes.proof import (
     NOTHING,
     OUR_FAULT,
+    Comparison,
     Proved,
     allowed_error,
     collected,
-    compare_window,
     compared,
-    measured_error,
     proof_shares,
-    together,
 )
 from terrainwave.write.passes.resuming import KeptUnits
 from terrainwave.write.patching.merged import Merged
@@ -250,26 +249,11 @@ class Patcher:
         allowed = allowed_error(quantizer, bound, quantizer.effective_error)
         count = self._bench.counter("proving")
         with TerrainFile(path, threads=1, native=False) as result:
-
-            def compare(region: Region) -> Proved:
-                part = region.intersect(self._merged.place)
-                found = NOTHING
-                if part.n_rows and part.n_cols:
-                    found = compare_window(result, self._merged, part, allowed, False)
-                if part != region:
-                    self._compare_rest(result, region)
-                if self.header.has_digests:
-                    tiles = tile_digests(region, *result.read_with_mask(region))
-                    found = found._replace(tiles=tiles)
-                count(region.n_rows * region.n_cols)
-                return found
-
-            def compare_all(share: Sequence[Region]) -> Proved:
-                return together(map(compare, share))
-
-            found = compared(path, proof_shares(self._grid), compare_all, self._bench)
-            largest, tiles = collected(found, self._terrain.shape)
-        return measured_error(largest, quantizer), self._new_digests(tiles.tree())
+            comparison = _PatchComparison(result, self._merged, allowed, False, count)
+            comparison.before, comparison.is_digested = self._terrain, self.header.has_digests
+            found = compared(path, proof_shares(self._grid), comparison.all, self._bench)
+            largest, tiles = collected(found, self._terrain.shape, quantizer)
+        return largest, self._new_digests(tiles.tree())
 
     def _new_digests(self, found: DigestTree) -> DigestTree | None:
         """Return the new digests, if the file has any: beyond the new raster they stay."""
@@ -286,29 +270,50 @@ class Patcher:
                 )
         return found
 
-    def _compare_rest(self, result: TerrainFile, region: Region) -> None:
+    def close(self) -> None:
+        """Delete temporary data."""
+        self._pyramid.close()
+        for spool in self.sink.present():
+            spool.close()
+
+
+class _PatchComparison(Comparison):
+    """Compares a patched file with the new raster where that lies, elsewhere with `before`."""
+
+    source: Merged
+    before: TerrainFile
+    is_digested: bool
+
+    def window(self, region: Region) -> Proved:
+        """Return the largest error where the new raster lies; digests of all decoded heights."""
+        part, found = region.intersect(self.source.place), NOTHING
+        if part.n_rows and part.n_cols:
+            found = super().window(part)
+        if part != region:
+            self._compare_rest(region)
+        if self.is_digested:
+            tiles = tile_digests(region, *self.terrain.read_with_mask(region))
+            found = found._replace(tiles=tiles)
+        return found
+
+    def _compare_rest(self, region: Region) -> None:
         """Raise if samples that the new raster does not cover have changed."""
-        level = self._grid.k_max
+        result = self.terrain
+        level = result.grid.k_max
         (before, was_valid), (after, is_valid) = (
-            terrain.decoder.window(level, region) for terrain in (self._terrain, result)
+            terrain.decoder.window(level, region) for terrain in (self.before, result)
         )
         is_good = was_valid & is_valid & (after == before) | ~was_valid & ~is_valid
-        if self._terrain.quantizer.remainder_bytes:
-            stored, new = (terrain.read_with_mask(region)[0] for terrain in (self._terrain, result))
+        if self.before.quantizer.remainder_bytes:
+            stored, new = (terrain.read_with_mask(region)[0] for terrain in (self.before, result))
             is_good &= (stored == new) | ~is_valid
-        is_good |= self._merged.known(region, np.ones(region.shape, dtype=np.bool_))
+        is_good |= self.source.known(region, np.ones(region.shape, dtype=np.bool_))
         if not is_good.all():
             row, col = np.argwhere(~is_good)[0] + (region.row, region.col)
             raise BoundViolationError(
                 f"the height at row {row}, column {col}, which the new raster does not cover, has"
                 f" moved; {OUR_FAULT}"
             )
-
-    def close(self) -> None:
-        """Delete temporary data."""
-        self._pyramid.close()
-        for spool in self.sink.present():
-            spool.close()
 
 
 class PatchEncoder(TreeEncoder):
