@@ -96,7 +96,7 @@ def write_pmtiles(
     overwrite : bool
         Replace an existing file.
     options
-        Of `terrain_rgb.look_of`; `image` is WebP by default, 0.56 to 0.83 of the bytes of PNG.
+        Of `terrain_rgb.look_of`; `image` is WebP by default, smaller than PNG.
         A warning lists heights outside the encoding's range.
 
     Raises

@@ -74,8 +74,7 @@ from terrainwave.names import TILE_ENCODINGS, TILE_IMAGES
 @click.option(
     "--image",
     type=click.Choice(TILE_IMAGES),
-    help="For .pmtiles: lossless image format. webp (default) takes 0.56 to 0.83 of"
-    " the bytes of png.",
+    help="For .pmtiles: lossless image format. Files of webp (default) are smaller.",
 )
 @click.option(
     "--round-by-zoom",
