@@ -123,6 +123,15 @@ def option(*names: str, **more: Any) -> Callable[[Callable], Callable]:
     return click.option(*names, **{"show_default": True} | more)
 
 
+def choices_option(
+    *names: str, of: Iterable[str], default: Iterable[str] | None = None
+) -> Callable[[Callable], Callable]:
+    """Return an option that takes some of the choices; all of them by default."""
+    choices = list(of)
+    chosen = choices if default is None else list(default)
+    return option(*names, cls=ListOption, type=click.Choice(choices), default=chosen)
+
+
 COUNT = click.IntRange(min=1)
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
