@@ -49,6 +49,9 @@ class Missing:
     def __eq__(self, other: object) -> bool:
         return other == ""
 
+    def __getitem__(self, field: str) -> "Missing":
+        return self
+
 
 def is_measured(value: Any) -> bool:
     """Return whether a row of a CSV has the value."""
@@ -60,12 +63,7 @@ def markdown(name: str, results: Path) -> str:
     table = TABLES[name]
     make_rows = globals().get(table["rows"])
     rows = make_rows(results) if make_rows else read(results, table["rows"])
-    for field, value in table.get("where", {}).items():
-        rows = [row for row in rows if row[field] == value]
-    if "pivot" in table:
-        rows = pivot(rows, *table["pivot"])
-    for field, formula in table.get("derived", {}).items():
-        rows = [row | {field: calculate(formula, row)} for row in rows]
+    rows = arranged(rows, table)
     columns = table["columns"].replace("\n|", " |").split(" | ")
     headings, cells = zip(*(column.split(" = ") for column in columns))
     lines = [list(headings), *([cell.format_map(row) for cell in cells] for row in rows)]
@@ -80,6 +78,45 @@ def markdown(name: str, results: Path) -> str:
         notes[field] = ", ".join(v if isinstance(v, str) else f"{v:g}" for v in values)
     texts += ["", table["note"].format_map(notes)] if notes else []
     return "\n".join(texts)
+
+
+def arranged(rows: Rows, table: dict[str, Any]) -> Rows:
+    """Return rows as the fields of ``tables.toml`` say, from "where" to "total"."""
+    for field, value in table.get("where", {}).items():
+        rows = [row for row in rows if row[field] == value]
+    for field, value in table.get("unless", {}).items():
+        rows = [row for row in rows if row[field] != value]
+    if "pivot" in table:
+        rows = pivot(rows, *table["pivot"])
+    for field, formula in table.get("derived", {}).items():
+        rows = [row | {field: calculate(formula, row)} for row in rows]
+    rows = sorted(rows, key=lambda row: [row[field] for field in table.get("sort", ())])
+    if "group" in table:
+        rows = grouped(rows, table["group"], table["of"])
+    if "total" in table:
+        rows = rows + [row | table["total"] for row in grouped(rows, [], table["of"])]
+    return rows
+
+
+# What tables make of the values of a field.
+GROUPED: dict[str, Callable[[list], Any]] = {
+    "mean": geometric_mean, "least": min, "most": max, "sum": sum, "count": len,
+    "distinct": lambda values: len({*values}),
+    "positive": lambda values: sum(value > 0 for value in values),
+}  # fmt: skip
+
+
+def grouped(rows: Rows, by: list[str], of: dict[str, str]) -> Rows:
+    """Return a row for each value of the fields `by`, with what `of` says: "sum seconds"."""
+    found: dict[tuple, Rows] = defaultdict(list)
+    for row in rows:
+        found[tuple(row[field] for field in by)].append(row)
+    asked = {name: what.split(" ") for name, what in of.items()}
+    return [
+        dict(zip(by, case, strict=True))
+        | {name: GROUPED[how]([row[field] for row in own]) for name, (how, field) in asked.items()}
+        for case, own in found.items()
+    ]
 
 
 class _Means(dict[str, float]):
@@ -118,72 +155,21 @@ def calculate(formula: str, row: Row) -> float | Missing:
 def pivot(rows: Rows, by: tuple[str, ...], over: str) -> Rows:
     """Return a row for each value of the fields `by`, all lines of it by the value of `over`.
 
-    They stand under the names "over=value".
+    They stand under the names "over=value"; where a case has none, it is missing.
     """
     found: dict[tuple, Row] = {}
     for row in rows:
         case = found.setdefault(tuple(row[name] for name in by), {name: row[name] for name in by})
         case[f"{over}={row[over]}"] = row
-    return list(found.values())
-
-
-def fuzzed_targets(results: Path) -> Rows:
-    """Return the runs of the fuzzer by target, and what they come to in all."""
-    rows = read(results, "fuzz")
-    if not rows:
-        return []
-    total = {field: sum(row[field] for row in rows) for field in ("executions", "seconds", "finds")}
-    total |= {field: max(row[field] for row in rows) for field in ("memory_mb", "slowest_ms")}
-    return [*rows, {"target": "all", "mode": ""} | total]
-
-
-def strict_costs(results: Path) -> Rows:
-    """Return what strict files cost by how many steps of the grid the bound has."""
-    found: dict[float, Rows] = defaultdict(list)
-    for row in read(results, "strict"):
-        found[row["steps"]].append(row | {"ratio": row["strict_bytes"] / row["n_bytes"]})
-    return [
-        {"steps": steps, "n": len(rows), "holds": sum(row["holds"] for row in rows)}
-        | {name: of([row["ratio"] for row in rows])
-           for name, of in (("mean", geometric_mean), ("least", min), ("most", max))}
-        | {field: max(row[field] for row in rows) for field in ("excess", "largest")}
-        for steps, rows in sorted(found.items())
-    ]  # fmt: skip
+    none = {f"{over}={row[over]}": Missing() for row in rows}
+    return [case | none | case for case in found.values()]  # in the order of the case
 
 
 def javascript_side(results: Path) -> Rows:
-    """Return reads in JavaScript by engine, what is read and by whom: means and the worst case."""
-    found: dict[tuple, Rows] = defaultdict(list)
-    for row in read(results, "javascript_side"):
-        by = f"{row['workers']} workers" if row["workers"] else "one thread"
-        found[row["engine"], row["what"], by].append(row)
-    fields = ("terrainwave_ms", "lerc_zstd_ms", "lerc_ms", "time_over_lerc_zstd", "time_over_lerc")
-    lines: Rows = []
-    for (engine, what, by), rows in found.items():
-        line: Row = {"engine": engine, "what": what, "by": by, "cases": len(rows)}
-        for field in fields:
-            values = [row[field] for row in rows]
-            line |= {field: geometric_mean(values), f"{field} most": max(values)}
-        lines.append(line)
-    return lines
-
-
-def scaled_commands(results: Path) -> Rows:
-    """Return whole commands by raster size: one row for each stage and what was measured of it."""
-    found: dict[str, dict[int, Row]] = defaultdict(dict)
-    for row in read(results, "scale_commands"):
-        found[row["stage"]][row["size"]] = row
-    sizes = (4096, 8192, 16384, 32768, 65536)
-    lines: Rows = []
-    for stage, of_size in found.items():
-        line: Row = {"stage": stage}
-        for size, name in itertools.product(sizes, ("net_per_million", "seconds", "peak_mib")):
-            line[f"{name}_{size}"] = of_size[size][name] if size in of_size else Missing()
-        # Against the first size at which starting is a small part of it.
-        small, large = (line[f"net_per_million_{size}"] for size in (16384, 65536))
-        is_known = is_measured(small) and is_measured(large)
-        lines.append(line | {"flatness": large / small if is_known else Missing()})
-    return lines
+    """Return reads in JavaScript, with who reads in words."""
+    words = {0: "one thread"}
+    by = lambda row: words.get(row["workers"], f"{row['workers']} workers")  # noqa: E731
+    return read(results, "javascript_side", by=by)
 
 
 def paper(results: Path) -> Rows:
@@ -271,7 +257,7 @@ def speed_cases(results: Path) -> Rows:
     found: Rows = []
     turns = pivot(read(results, "speeds"), ("raster", "max_error", "is_slow"), "codec")
     for turn in turns:
-        lines = [row for name, row in turn.items() if name.startswith("codec=")]
+        lines = [row for name, row in turn.items() if "=" in name and is_measured(row)]
         (cog,) = (row for row in lines if row["codec"] == "cog")
         for row in lines:
             if row is cog and row["is_slow"] == "True":
@@ -347,15 +333,6 @@ def archives(results: Path) -> Rows:
     return found if cases else []
 
 
-def archive_sentence(results: Path) -> str:
-    """Return what choosing.md and the help of `compress` say of ``--effort best``."""
-    (best,) = (row for row in archives(results) if "best" in row["codec"])
-    return (
-        f"{best['mean']:.2f} of the default's size ({best['least']:.2f} to {best['most']:.2f}),"
-        f" and are read {best['decode']:.0f} times as slowly"
-    )
-
-
 # What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
 SIDE_BY_SIDE = {
     "terrainwave": (RAPID, f"{RAPID}+"),
@@ -404,24 +381,6 @@ def side_by_side(results: Path) -> Rows:
     return found
 
 
-def conformance(results: Path) -> Rows:
-    """Return what readers make of the conformance set, but for parts that they were not asked."""
-    return [row for row in read(results, "conformance") if row["files"]]
-
-
-def left_out(results: Path) -> Rows:
-    """Return sizes with tables that never saw the raster over others: means over its bounds."""
-    found: dict[str, dict[str, list[float]]] = {}
-    for row in sorted(read(results, "leave_one_out"), key=lambda row: row["raster"]):
-        ratios = found.setdefault(row["raster"], {"all": [], "in_use": [], "untrained": []})
-        for other, values in ratios.items():
-            values.append(row["left_out_bytes"] / row[f"{other}_bytes"])
-    return [
-        {"raster": raster} | {other: geometric_mean(values) for other, values in ratios.items()}
-        for raster, ratios in found.items()
-    ]
-
-
 def viewed_frames(results: Path) -> Rows:
     """Return frames of the viewer; what was not timed, or not drawn, is missing."""
     rows = read(results, "render")
@@ -458,40 +417,9 @@ def zhang_choices(results: Path) -> Rows:
     return read(results, "zhang_triangles", case=case)
 
 
-def outlines_by_mode(results: Path) -> Rows:
-    """Return what pictures of all rasters lack, by mode and errors."""
-    found: dict[tuple, Rows] = defaultdict(list)
-    for row in read(results, "outlines"):
-        found[row["mode"], row["error"]].append(row)
-    return [
-        {"mode": mode, "error": error, "pictures": len(rows)}
-        | {"rasters": len({row["raster"] for row in rows})}
-        | {"bad": sum(row["inside"] > 0 for row in rows)}
-        | {name: sum(row[name] for row in rows) for name in ("ground", "inside", "outside")}
-        for (mode, error), rows in found.items()
-    ]
-
-
-def cut_streams(results: Path) -> Rows:
-    """Return files that were cut to so many bits per sample."""
-    return [row for row in read(results, "embedded") if is_measured(row["rate"])]
-
-
-def flights(results: Path) -> Rows:
-    """Return flights by error and threshold."""
-    return sorted(read(results, "dynamic"), key=lambda row: (row["view"], row["error"]))
-
-
 def remote_windows(results: Path) -> Rows:
     """Return what windows over http cost."""
     return read(results, "remote", level=lambda row: str(row["level"]).replace("-", "−"))
-
-
-def network_faults(results: Path) -> Rows:
-    """Return what came of all sessions with a faulty server."""
-    rows = read(results, "faults_network")
-    fields = ("sessions", "right", "refused", "wrong", "others", "hangs", "then_wrong")
-    return [{field: sum(row[field] for row in rows) for field in fields}] if rows else []
 
 
 REPORTED = ("summary", "methods", "archives", "speeds", "default_reads", "cases")  # in bench.md
