@@ -18,7 +18,6 @@ import time
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future
 from contextlib import ExitStack
 from importlib import metadata
 from pathlib import Path
@@ -143,7 +142,6 @@ dem_argument = click.argument("dem", type=click.Path(exists=True, dir_okay=False
 directory_argument = click.argument(
     "directory", type=click.Path(exists=True, file_okay=False, path_type=Path)
 )
-crop_option = option("--crop", type=COUNT, help="Use the upper left N x N samples.")
 
 # --- results ---
 
@@ -264,14 +262,15 @@ def _commit() -> str | None:
 # --- runs ---
 
 
-class InlineExecutor(Executor):
-    """Runs a task where it is submitted: no threads, one clock."""
+def call_elsewhere(name: str, *arguments: Any) -> None:
+    """Call a function by its full name in a process of its own, so that this one stays small.
 
-    def submit(self, function, /, *arguments) -> Future:
-        """Run a task."""
-        future: Future = Future()
-        future.set_result(function(*arguments))
-        return future
+    Arguments are numbers and texts, paths become texts.
+    """
+    module, function = name.rsplit(".", 1)
+    code = f"import json, sys, {module}; {module}.{function}(*json.loads(sys.argv[1]))"
+    given = json.dumps(arguments, default=str)
+    subprocess.run([sys.executable, "-c", code, given], check=True, cwd=ROOT)
 
 
 # What a command took: wall clock, processor time of all its threads, most resident memory.
@@ -287,6 +286,8 @@ def run_and_measure(
     process's number when it has started. The caller must be small: Linux counts the memory of a
     process at the moment it starts another towards that one's peak.
     """
+    if not hasattr(os, "wait4"):
+        raise click.UsageError("needs os.wait4: Linux or macOS")
     start = time.perf_counter()
     process = subprocess.Popen(command, **options)
     watch(process.pid)

@@ -28,7 +28,7 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import write_cog
 from benchmarks.slow_server import SlowServer
-from benchmarks.windows import corners
+from benchmarks.windows import corners, read_cog, read_terrain
 
 JS = common.ROOT / "js"
 N_WARM = 2
@@ -102,13 +102,8 @@ def page(server: SlowServer) -> Iterator[Ask]:
 
 def expected_of(path: Path, window: Window) -> str:
     """Return the digest of what Python, or GDAL, reads."""
-    if path.suffix == ".twz":
-        with terrainwave.open(path, threads=1) as terrain:
-            heights = terrain.read((window.row_off, window.col_off, window.height, window.width))
-    else:
-        with rasterio.open(path) as dataset:
-            heights = dataset.read(1, window=window)
-    return hashlib.sha256(heights.tobytes()).hexdigest()
+    read = read_terrain if path.suffix == ".twz" else read_cog
+    return hashlib.sha256(read(path, window).tobytes()).hexdigest()
 
 
 def make_files(raster: Path, bound: float, folder: Path) -> dict[str, Path]:

@@ -10,22 +10,20 @@ from pathlib import Path
 
 import rasterio
 
-import terrainwave
 from benchmarks import common
-from benchmarks.rasters import write_cog
+from benchmarks.rasters import write_pair
 
 Row = namedtuple("Row", "raster max_error n_bytes bits_per_sample cog_bytes ratio")
 
 
 def measure(paths: list[Path], bounds: tuple[float, ...], folder: Path) -> Iterator[Row]:
     """Yield the sizes of each raster within each bound."""
-    file, cog = folder / "lidar.twz", folder / "lidar.tif"
     for dem in paths:
         with rasterio.open(dem) as dataset:
             n_samples = dataset.width * dataset.height
         for bound in bounds:
-            terrainwave.compress(dem, file, max_error=bound, mesh="none", overwrite=True)
-            n_bytes, n_cog = (path.stat().st_size for path in (file, write_cog(dem, cog, bound)))
+            files = write_pair(dem, folder / "lidar", bound)
+            n_bytes, n_cog = (path.stat().st_size for path in files.values())
             bits = round(8 * n_bytes / n_samples, 3)
             yield Row(dem.stem, bound, n_bytes, bits, n_cog, round(n_bytes / n_cog, 3))
 

@@ -90,18 +90,13 @@ def measure_methods(dem: Path, folder: Path) -> Iterator[MethodRow]:
         cut = {"method": terrainwave.Cdf53(rate=sizes[bound])} if goal == "rate" else {}
         bounded = {"method": method, "max_error": bound}
         terrainwave.compress(dem, file, mesh="none", verify=False, overwrite=True, **cut or bounded)
-        errors = _errors(file, dem)
+        report = terrainwave.verify(file, dem)
+        assert report.ok, report.problems
         with terrainwave.open(file) as terrain:
             bits = round(8 * file.stat().st_size / (terrain.shape[0] * terrain.shape[1]), 4)
         sizes.setdefault(bound, bits)
-        rmse = round(errors.rmse, 4)
-        yield MethodRow(dem.stem, method, goal, bound, bits, rmse, errors.max_error)
-
-
-def _errors(file: Path, dem: Path):
-    report = terrainwave.verify(file, dem)
-    assert report.ok, report.problems
-    return report.errors
+        errors = round(report.errors.rmse, 4), report.errors.max_error
+        yield MethodRow(dem.stem, method, goal, bound, bits, *errors)
 
 
 @contextlib.contextmanager
@@ -294,12 +289,10 @@ def measure_flights(dem: Path, n_frames: int) -> Iterator[FlightRow]:
 
 def compare_papers(results: Path) -> Iterator[PaperRow]:
     """Yield the papers' figures beside those of the CSVs, which `PAPERS` names in braces."""
+    names = "zerotrees", "zerotree_views", "systems_methods", "systems_modes", "dynamic"
     grid, views, methods, modes, flights = (
-        common.read_rows(results / f"{name}.csv")
-        for name in (
-            "zerotrees", "zerotree_views", "systems_methods", "systems_modes", "dynamic"
-        )
-    )  # fmt: skip
+        common.read_rows(results / f"{name}.csv") for name in names
+    )
     flights = [row for row in flights if row["side"] == SIDE]
     ours = {
         mode: _range(1e3 / row["frame_ms"] for row in modes if row["mode"] == mode)
