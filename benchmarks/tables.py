@@ -1,8 +1,9 @@
-"""Write the measured tables into documents: ``python -m benchmarks.tables``.
+"""Write the measured tables and numbers into documents: ``python -m benchmarks.tables``.
 
-Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document and is made
-from a CSV under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing
-and exits 1 if a document does not say what its CSV says.
+Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document, and the
+numbers of a sentence between ``<!-- number: NAME -->`` and the same end. They are made from CSVs
+under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing and exits 1
+if a document does not say what its CSV says.
 """
 
 import itertools
@@ -21,7 +22,7 @@ from benchmarks.common import RESULTS, ROOT, geometric_mean, read_rows
 DOCUMENTS = [
     path.relative_to(ROOT).as_posix()
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if "<!-- table: " in path.read_text(encoding="utf-8")
+    if re.search("<!-- (table|number): ", path.read_text(encoding="utf-8"))
 ]
 RAPID = "terrainwave-rapid"
 PREDICTIVE = "terrainwave-predictive"
@@ -35,6 +36,7 @@ COGS = ("cog", "cog-float32", "cog-zstd")
 LARGE = 4_000_000  # samples from which speeds are in the row of large rasters
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
+NUMBERS = TABLES.pop("numbers")
 
 Row = dict[str, Any]
 Rows = list[Row]
@@ -61,9 +63,7 @@ def is_measured(value: Any) -> bool:
 def markdown(name: str, results: Path) -> str:
     """Return a table of ``tables.toml`` as Markdown."""
     table = TABLES[name]
-    make_rows = globals().get(table["rows"])
-    rows = make_rows(results) if make_rows else read(results, table["rows"])
-    rows = arranged(rows, table)
+    rows = rows_of(table, results)
     columns = table["columns"].replace("\n|", " |").split(" | ")
     headings, cells = zip(*(column.split(" = ") for column in columns))
     lines = [list(headings), *([cell.format_map(row) for cell in cells] for row in rows)]
@@ -80,8 +80,19 @@ def markdown(name: str, results: Path) -> str:
     return "\n".join(texts)
 
 
-def arranged(rows: Rows, table: dict[str, Any]) -> Rows:
-    """Return rows as the fields of ``tables.toml`` say, from "where" to "total"."""
+def numbers(name: str, results: Path) -> str:
+    """Return the numbers of a sentence, those of a table's rows that ``tables.toml`` names."""
+    asked = NUMBERS[name]
+    table = TABLES[asked["table"]] | ({"group": []} if "of" in asked else {}) | asked
+    (row,) = rows_of(table, results)
+    text: str = table["text"].format_map(row)
+    return text
+
+
+def rows_of(table: dict[str, Any], results: Path) -> Rows:
+    """Return the rows of a table, as its fields say, from "rows" to "total"."""
+    make_rows = globals().get(table["rows"])
+    rows: Rows = make_rows(results) if make_rows else read(results, table["rows"])
     for field, value in table.get("where", {}).items():
         rows = [row for row in rows if row[field] == value]
     for field, value in table.get("unless", {}).items():
@@ -143,7 +154,7 @@ def read(results: Path, name: str, **derived: Callable[[Row], Any]) -> Rows:
 
 def calculate(formula: str, row: Row) -> float | Missing:
     """Return one field or number over or less another: ``regular / triangles``."""
-    left, sign, right = formula.split(" ")
+    left, sign, right = re.split(" ([/-]) ", formula)
     texts = [name if name[0].isdigit() else f"{{{name}}}".format_map(row) for name in (left, right)]
     try:
         one, two = map(float, texts)
@@ -188,18 +199,22 @@ def same_bytes(results: Path) -> Rows:
     return read(results, "same_bytes", cpu=lambda row: row["cpu"].split(" ")[0])
 
 
-def compared_codecs(results: Path) -> Rows:
-    """Return bits per sample of our codecs and the best peer by raster and bound.
+def size_rows(results: Path, *names: str) -> Rows:
+    """Return rows of CSVs of sizes, without those of cases that went wrong.
 
     Bounds below 1 are for floats only: on whole metres they are lossless once more.
     """
-    found: dict[tuple[str, float], Row] = {}
-    for name in ("rapid", "predictive", "cdf97", "peers"):
-        for row in read(results, name):
-            raster, bound = row["raster"], row["max_error"]
-            is_twice = row["dtype"].startswith("int") and 0 < bound < 1
-            if not (is_twice or is_measured(row["problem"])):
-                found.setdefault((raster, bound), {})[row["codec"]] = row["bits_per_sample"]
+    rows = [row for name in names for row in read(results, name) if not is_measured(row["problem"])]
+    return [
+        row for row in rows if not (row["dtype"].startswith("int") and 0 < row["max_error"] < 1)
+    ]
+
+
+def compared_codecs(results: Path) -> Rows:
+    """Return bits per sample of our codecs and the best peer by raster and bound."""
+    found: dict[tuple[str, float], Row] = defaultdict(dict)
+    for row in size_rows(results, "rapid", "predictive", "cdf97", "peers"):
+        found[row["raster"], row["max_error"]][row["codec"]] = row["bits_per_sample"]
     cases = []
     for (raster, bound), peers in sorted(found.items()):
         ours = {name: peers.pop(name, Missing()) for name in OUR_CODECS}
@@ -296,15 +311,9 @@ def compared_speeds(results: Path) -> Rows:
 
 def default_reads(results: Path) -> Rows:
     """Return how fast files of the default are read, by raster and bound, beside the COG."""
-    rows = speed_cases(results)
-    cogs = {
-        (row["raster"], row["max_error"]): row["decode_speed"]
-        for row in rows
-        if row["codec"] == "cog"
-    }
     return [
-        row | {"cog_speed": cogs[row["raster"], row["max_error"]], "ratio": row["decode / COG"]}
-        for row in rows
+        row | {"cog_speed": row["decode_speed"] / row["decode / COG"], "ratio": row["decode / COG"]}
+        for row in speed_cases(results)
         if row["codec"] == f"{RAPID}+"
     ]
 
@@ -353,10 +362,8 @@ def side_by_side(results: Path) -> Rows:
     Sizes of all rasters; speeds of those of 4 Mpx and more.
     """
     sizes: dict[str, dict[tuple, float]] = defaultdict(dict)
-    for row in (row for name in ("rapid", "predictive", "peers") for row in read(results, name)):
-        is_twice = row["dtype"].startswith("int") and 0 < row["max_error"] < 1
-        if not (is_twice or is_measured(row["problem"])):
-            sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
+    for row in size_rows(results, "rapid", "predictive", "peers"):
+        sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
     speeds = {row["codec"]: row for row in compared_speeds(results) if row["is_large"]}
     if not (sizes and speeds):
         return []
@@ -423,14 +430,16 @@ def remote_windows(results: Path) -> Rows:
 
 
 REPORTED = ("summary", "methods", "archives", "speeds", "default_reads", "cases")  # in bench.md
-_SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+_SLOT = re.compile(r"<!-- (table|number): (\w+) -->.*?<!-- end -->", re.DOTALL)
 
 
 def fill_in(text: str) -> str:
-    """Return a document with every table made anew."""
+    """Return a document with all tables and numbers made anew."""
 
     def make(slot: re.Match[str]) -> str:
-        return f"<!-- table: {slot[1]} -->\n{markdown(slot[1], RESULTS)}\n<!-- end -->"
+        kind, name = slot.groups()
+        made = numbers(name, RESULTS) if kind == "number" else f"\n{markdown(name, RESULTS)}\n"
+        return f"<!-- {kind}: {name} -->{made}<!-- end -->"
 
     return _SLOT.sub(make, text)
 
@@ -443,7 +452,7 @@ def write_all(results: Path) -> list[str]:
 
 
 def write_documents(*, only_check: bool = False) -> list[str]:
-    """Fill in the tables of all documents; return the names of those that change."""
+    """Fill in all documents; return the names of those that change."""
     changed = []
     for name in DOCUMENTS:
         path = ROOT / name
@@ -457,11 +466,13 @@ def write_documents(*, only_check: bool = False) -> list[str]:
 
 
 @click.command(help=__doc__)
-@click.option("--check", is_flag=True, help="Change nothing; exit 1 if a table is old.")
+@click.option("--check", is_flag=True, help="Change nothing; exit 1 if one is old.")
 def main(check: bool) -> None:
-    """Fill in or check the tables."""
+    """Fill in or check tables and numbers."""
     for name in (changed := write_documents(only_check=check)):
-        click.echo(f"{name}: {'a table is not what its CSV says' if check else 'written'}")
+        click.echo(
+            f"{name}: {'a table or number is not what its CSV says' if check else 'written'}"
+        )
     raise SystemExit(check and bool(changed))
 
 
