@@ -34,7 +34,6 @@ FAMILIES = {
         ["rapid+", "rapid", "predictive", "predictive-best", "cdf97"],
     ),
 }  # fmt: skip
-PART = click.Choice(FAMILIES)
 # Ours strong, the others quiet; the order is that of the legend.
 STYLES = {
     "terrainwave-rapid": {"color": "#d1495b", "linewidth": 2.2, "marker": "o"},
@@ -101,18 +100,17 @@ def draw(curves: Curves, results: Path) -> None:
 
 @common.command()
 @common.rasters_argument
-@common.option("--only", "parts", cls=common.ListOption, type=PART, default=[*FAMILIES])
-@click.option("--again", cls=common.ListOption, type=PART, help="Throw away first.")
-@click.option(
-    "--fast", is_flag=True, help="Of speeds, those of fast codecs; others stay as they are."
-)
+@common.choices_option("--only", "parts", of=FAMILIES)
+@common.choices_option("--again", of=FAMILIES, default=())
+@click.option("--fast", is_flag=True, help="Of speeds, only those of fast codecs.")
 @common.bounds_option(*codecs.BOUNDS)
 def main(paths, parts, again, fast, bounds, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
     common.pin_to_cores()
     for part in again:
         if part == "speeds" and fast:
-            codecs.leave_slow_speeds(out / "speeds.csv")
+            # Slow codecs have a COG of their own.
+            common.keep_rows(out / "speeds.csv", lambda row: row["is_slow"] == "True")
         else:
             (out / f"{part}.csv").unlink(missing_ok=True)
     rows = []

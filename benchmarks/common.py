@@ -206,11 +206,6 @@ def _number(text: str) -> int | float | str:
     return text
 
 
-def geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive numbers."""
-    return math.exp(math.fsum(map(math.log, values)) / len(values))
-
-
 # --- the machine ---
 
 

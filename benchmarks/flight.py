@@ -224,10 +224,6 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the scene and the file."""
         self._closing.close()
 
 
@@ -358,13 +354,9 @@ def row_of(path: Path, ground: Ground, what: str, seconds: float, tau: float, **
 @common.option("--memory", default=1024, help="MiB.")
 @common.option("--radius", type=float, help="Of the body, without a CRS.")
 @common.option("--gpu", is_flag=True, help="Draw by OpenGL.")
-@common.option(
-    "--horizon", cls=common.ListOption, default=("on",), help="Leave out blocks behind ground."
-)
 def main(
-    dem, seconds, side, max_error, modes, what, size, tau, threads, memory, radius, gpu, horizon,
-    folder, out,
-) -> None:  # fmt: skip
+    dem, seconds, side, max_error, modes, what, size, tau, threads, memory, radius, gpu, folder, out
+) -> None:
     """Measure, print and write the CSV."""
     viewport = Viewport(*(int(part) for part in size.split("x")))
     path = dem
@@ -381,9 +373,7 @@ def main(
             options |= {} if radius is None else {"radius": radius}
             _warm_up(path, ground, tau, options)
             for one in what:
-                for each in horizon:
-                    options["horizon"] = each == "on"
-                    yield row_of(path, ground, one, seconds, tau, **options)
+                yield row_of(path, ground, one, seconds, tau, **options)
 
     common.write_rows(out, rows())
 

@@ -98,6 +98,12 @@ def zarr_rows(name: str, heights: np.ndarray, max_error: float, n_rounds: int) -
         )  # fmt: skip
 
 
+def whole_chunks(heights: np.ndarray) -> np.ndarray:
+    """Cut off chunks that reach past the edge: they would count for more than they hold."""
+    n_rows, n_cols = (length // _CHUNK * _CHUNK for length in heights.shape)
+    return np.ascontiguousarray(heights[:n_rows, :n_cols])
+
+
 def window_of_ours(path: Path, place: tuple[slice, slice]) -> np.ndarray:
     """Open a file of ours as xarray, load a window, close it."""
     with xr.open_dataset(path) as dataset:
@@ -151,21 +157,17 @@ def main(paths, size, bounds, n_rounds, n_windows, folder, out) -> None:
         sources[path.stem] = folder / path.name
         write_geotiff(raster, sources[path.stem])
 
-    def rows_of_zarr() -> Iterator[ZarrRow]:
-        for name, source in sources.items():
-            heights = load_raster(source).heights
-            # Chunks of 512 that reach past the edge would count for more than they hold.
-            n_rows, n_cols = (length // _CHUNK * _CHUNK for length in heights.shape)
-            heights = np.ascontiguousarray(heights[:n_rows, :n_cols])
-            for bound in bounds:
-                yield from zarr_rows(name, heights, bound, n_rounds)
-
-    common.write_rows(out, rows_of_zarr())
+    cases = [(name, source, bound) for name, source in sources.items() for bound in bounds]
+    arrays = (
+        row
+        for name, source, bound in cases
+        for row in zarr_rows(name, whole_chunks(load_raster(source).heights), bound, n_rounds)
+    )
+    common.write_rows(out, arrays)
     with rasterio.Env():  # made once, as rasterio advises, not for each file
         windows = (
             row
-            for name, source in sources.items()
-            for bound in bounds
+            for name, source, bound in cases
             for row in window_rows(source, name, bound, n_windows, folder)
         )
         common.write_rows(out.with_name("xarray_windows.csv"), windows)

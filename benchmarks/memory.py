@@ -59,19 +59,16 @@ def rows_of(
     source: Path, head: tuple, n_runs: int, max_error: float, extra: Sequence[str]
 ) -> Iterator[Row]:
     """Yield the rows of a raster: one for each writer."""
-    targets = {
-        writer: source.with_name("mirrored.tif" if "COG" in writer else "mirrored.twz")
-        for writer in WRITERS
-    }
     used: dict[str, list] = {writer: [] for writer in WRITERS}
     n_bytes: dict[str, int] = {}
     for _ in range(n_runs + 1):
-        for writer, target in targets.items():
-            used[writer].append(run(writer, source, target, max_error, extra))
+        for writer, found in used.items():
+            target = source.with_name("mirrored.tif" if "COG" in writer else "mirrored.twz")
+            found.append(run(writer, source, target, max_error, extra))
             n_bytes[writer] = target.stat().st_size
-    for writer in WRITERS:
+    for writer, found in used.items():
         # The first round may compile.
-        seconds, cpu_seconds, peaks = zip(*used[writer][1:], strict=True)
+        seconds, cpu_seconds, peaks = zip(*found[1:], strict=True)
         yield Row(
             *head, max_error, writer, n_runs, round(source.stat().st_size / 2**20, 1),
             n_bytes[writer], round(max(peaks), 1), round(median(seconds), 2),
@@ -93,10 +90,8 @@ def main(dem, extra, sizes, layout, max_error, n_runs, folder, out) -> None:
     for size in sizes:
         source = folder / f"mirrored-{size}-{layout}.tif"
         if not source.exists():
-            place = source.absolute()
-            common.call_elsewhere(
-                "benchmarks.rasters.make_mirrored", dem.absolute(), place, size, layout
-            )
+            places = dem.absolute(), source.absolute()
+            common.call_elsewhere("benchmarks.rasters.make_mirrored", *places, size, layout)
         found += rows_of(source, (dem.stem, size, layout), n_runs, max_error, extra)
     common.write_rows(out, found)  # last, for it imports a lot
 

@@ -285,14 +285,6 @@ def _first_picture_row(folder: Path, share: int, dense: int) -> Row:
     return Row(share, dense, "first picture", 0, _rounded(seconds), 0, 0, *counts)
 
 
-def forget(out: Path, share: int, stages: list[str]) -> None:
-    """Take out of the CSV what is to be measured again."""
-    names = {*stages}
-    if "window" in names:
-        names |= {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
-    common.keep_rows(out, lambda row: row["share"] != share or row["stage"] not in names)
-
-
 def _rounded(number: float) -> float:
     return round(number, 2)
 
@@ -303,12 +295,12 @@ def _rounded(number: float) -> float:
 @common.option("--dense", type=click.IntRange(min=4096), default=65536)
 @common.choices_option("--stages", of=STAGES)
 @common.option("--append", is_flag=True, help="Keep the rows of other parts and stages.")
-def main(
-    data: Path, share: int, dense: int, stages: list[str], append: bool, folder: Path, out: Path
-) -> None:
+def main(data, share, dense, stages, append, folder, out) -> None:
     """Run the measurement."""
-    if append:
-        forget(out, share, stages)
+    if append:  # what is measured again goes
+        windows = {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
+        gone = {*stages} | (windows if "window" in stages else set())
+        common.keep_rows(out, lambda row: row["share"] != share or row["stage"] not in gone)
     rows = measured(data.absolute(), folder.absolute(), share, dense, stages)
     common.write_rows(out, rows, append=append)
 

@@ -196,12 +196,6 @@ def whole_units(path: Path) -> np.ndarray:
     return np.rint(heights.filled(heights.min())).astype(np.int32)
 
 
-def middle(shape: tuple[int, int], side: int) -> Window:
-    """Return the window of the middle, at most `side` samples a side."""
-    n_rows, n_cols = (min(length, side) for length in shape)
-    return Window((shape[1] - n_cols) // 2, (shape[0] - n_rows) // 2, n_cols, n_rows)
-
-
 # --- voids: peers without a mask get the best of several fills, and pay for the mask ---
 
 

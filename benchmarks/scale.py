@@ -126,9 +126,7 @@ def measured(dem: Path, sizes: Sequence[int], stages: Sequence[str], folder: Pat
 @common.option("--sizes", cls=common.ListOption, type=click.IntRange(min=SIDE), default=SIZES)
 @common.choices_option("--stages", of=STAGES)
 @common.option("--append", is_flag=True, help="Keep the rows that are there.")
-def main(
-    dem: Path, sizes: list[int], stages: list[str], append: bool, folder: Path, out: Path
-) -> None:
+def main(dem, sizes, stages, append, folder, out) -> None:
     """Run the measurement."""
     rows = measured(dem, [START, *sizes], stages, folder)
     kept = (row for row in rows if not (append and row.size == START))

@@ -320,10 +320,8 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
     for row in methods:
         if (row["method"], row["goal"], row["max_error"]) == (EMBEDDED, "max_error", 0):
             ours[EMBEDDED] = 16 / row["bits_per_sample"]
-    made = tables.pivot(tables.pyramids(results), ("raster", "block", "max_error"), "case")
-    for case in ("growing", "neville"):
-        bits = ([row[f"case={name}"]["heights_bits"] for name in (case, "one")] for row in made)
-        ours[case] = _range((own / one for own, one in bits), 2)
+    made = tables.rows_of(tables.TABLES["zerotree_pyramids"], results)
+    ours |= {case: _range((row[case] for row in made), 2) for case in ("growing", "neville")}
     for row in common.read_rows(PAPERS):
         yield PaperRow(**row | {"ours": row["ours"].format_map(ours)})
 

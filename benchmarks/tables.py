@@ -13,11 +13,12 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
+from statistics import geometric_mean
 from typing import Any
 
 import click
 
-from benchmarks.common import RESULTS, ROOT, geometric_mean, read_rows
+from benchmarks.common import RESULTS, ROOT, read_rows
 
 DOCUMENTS = [
     path.relative_to(ROOT).as_posix()
@@ -166,13 +167,15 @@ def calculate(formula: str, row: Row) -> float | Missing:
 def pivot(rows: Rows, by: tuple[str, ...], over: str) -> Rows:
     """Return a row for each value of the fields `by`, all lines of it by the value of `over`.
 
-    They stand under the names "over=value"; where a case has none, it is missing.
+    They stand under the names "over=value"; where a case has none, it is missing. `over` may be
+    several fields, with spaces between them and between their values.
     """
     found: dict[tuple, Row] = {}
-    for row in rows:
+    values = [" ".join(str(row[name]) for name in over.split(" ")) for row in rows]
+    for row, value in zip(rows, values, strict=True):
         case = found.setdefault(tuple(row[name] for name in by), {name: row[name] for name in by})
-        case[f"{over}={row[over]}"] = row
-    none = {f"{over}={row[over]}": Missing() for row in rows}
+        case[f"{over}={value}"] = row
+    none = {f"{over}={value}": Missing() for value in values}
     return [case | none | case for case in found.values()]  # in the order of the case
 
 
@@ -404,24 +407,6 @@ def methods_at_bounds(results: Path) -> Rows:
     """Return all methods at the same bounds, with their goals in words."""
     words = {"max_error": "{max_error:g} m", "rate": "size of predictive at {max_error:g} m"}
     return read(results, "systems_methods", goal=lambda row: words[row["goal"]].format_map(row))
-
-
-def pyramids(results: Path) -> Rows:
-    """Return files whose pyramids are made in other ways, with what is other in one field."""
-
-    def case(row: Row) -> str:
-        return "growing" if row["growth"] > 1 else "one" if row["filter"] == "9/7" else "neville"
-
-    return read(results, "zerotree_pyramids", case=case)
-
-
-def zhang_choices(results: Path) -> Rows:
-    """Return what two pyramids draw, with what blocks are chosen by in one field."""
-
-    def case(row: Row) -> str:
-        return row["errors"] if row["errors"] == "bound" else row["pyramid"]
-
-    return read(results, "zhang_triangles", case=case)
 
 
 def remote_windows(results: Path) -> Rows:

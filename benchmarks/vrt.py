@@ -78,7 +78,8 @@ def make(dem: str, folder: str, n: int) -> None:
                 profile["transform"] = whole.window_transform(window)
                 with rasterio.open(paths[-1], "w", **profile) as tile:
                     tile.write(band[:, col * SIDE : (col + 1) * SIDE], 1)
-        transform, nodata = whole.transform, whole.nodata
+        transform, nodata, crs = whole.transform, whole.nodata, whole.crs
+        area = whole.tags().get("AREA_OR_POINT", "")
     (place / "tiles.txt").write_text("\n".join(map(str, paths)), encoding="utf-8")
     part = 0, 0, SIDE, SIDE
     sources = [
@@ -88,7 +89,9 @@ def make(dem: str, folder: str, n: int) -> None:
     for name in ("tiles.vrt", "shuffled.vrt"):
         lines = [
             f'<VRTDataset rasterXSize="{n * SIDE}" rasterYSize="{n * SIDE}">',
+            f"<SRS>{crs.to_wkt()}</SRS>" if crs else "",
             f"<GeoTransform>{','.join(map(repr, transform.to_gdal()))}</GeoTransform>",
+            f'<Metadata><MDI key="AREA_OR_POINT">{area}</MDI></Metadata>' if area else "",
             '<VRTRasterBand dataType="Int16" band="1">',
             "" if nodata is None else f"<NoDataValue>{nodata}</NoDataValue>",
             *sources,

@@ -20,7 +20,6 @@ import terrainwave
 from benchmarks import common
 from benchmarks.render import KEYS, camera_at_key
 from terrainwave import Cdf97, Zerotree
-from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.statistics import mesh_levels
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, home
@@ -110,14 +109,9 @@ def view_counts(scene: Scene, camera: Camera, tau: float) -> tuple[int, int, int
     frames = scene.settle(scene.view(camera, VIEWPORT, tau))
     pieces = [scene.table.pieces[node] for node in frames.nodes]
     own = sum(len(scene.mode.builder.mesh(piece).triangles) for piece in pieces)
-    regular = sum(2 * n_cells(scene.terrain.grid, piece.block) for piece in pieces)
+    sides = [scene.terrain.grid.block_region(piece.block).shape for piece in pieces]
+    regular = sum(2 * (n_rows - 1) * (n_cols - 1) for n_rows, n_cols in sides)
     return len({piece.level for piece in pieces}), own, regular
-
-
-def n_cells(grid: Grid, block: Block) -> int:
-    """Return how many cells of samples a block has inside the raster."""
-    region = grid.block_region(block)
-    return (region.n_rows - 1) * (region.n_cols - 1)
 
 
 class Everything:

@@ -146,12 +146,6 @@ class Levels:
                     errors[block] = float(apart[rows, cols].max(initial=0.0))
         return errors
 
-    def bounds(self, order: int) -> dict[Block, float]:
-        """Return the bounds that mode batched has of its blocks, metres."""
-        grid = self.terrain.grid
-        blocks = (block for level in range(grid.k_max + 1) for block in grid.blocks(level))
-        return {block: self.modes[order].grid(block).error for block in blocks}
-
 
 def level_rows(raster: str, levels: Levels) -> Iterator[LevelRow]:
     """Yield the errors of a terrain's levels."""
@@ -194,12 +188,14 @@ def triangle_rows(raster: str, levels: Levels) -> Iterator[TriangleRow]:
     """Yield what is drawn of a terrain."""
     cameras = [home(levels.frame.box, VIEWPORT)]
     cameras += [camera_at_key(levels.frame, key) for key in KEYS]
+    grid = levels.terrain.grid
+    blocks = [block for level in range(grid.k_max + 1) for block in grid.blocks(level)]
     for order in ORDERS:
         mode = levels.modes[order]
         for pyramid, errors, found in (
             ("paper", "measured", levels.block_errors("paper", order)),
             ("ours", "measured", levels.block_errors("ours", order)),
-            ("ours", "bound", levels.bounds(order)),
+            ("ours", "bound", {block: mode.grid(block).error for block in blocks}),
         ):
             table = table_of(mode, found)
             for tau in TAUS:
