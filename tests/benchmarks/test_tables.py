@@ -1,5 +1,8 @@
 """Do documents get the tables and the numbers of sentences that their CSVs have?"""
 
+import re
+from fnmatch import fnmatch
+
 import pytest
 
 from benchmarks import tables
@@ -45,3 +48,13 @@ def test_rows_are_grouped_and_totalled():
         {"by": "b", "n": 3.0, "mean": pytest.approx(3.0), "most": 3.0, "count": 1},
     ]
     assert tables.grouped(rows, [], {"n": "sum n"}) == [{"n": 13.0}]
+
+
+def test_readme_names_every_script_and_every_result():
+    folder = tables.ROOT / "benchmarks"
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    words = {word for quoted in re.findall("`([^`]+)`", text) for word in quoted.split(" ")}
+    named = {word.removeprefix("benchmarks.").removesuffix(".py") for word in words}
+    assert {path.stem for path in folder.glob("*.py")} - named == {"__init__"}
+    for path in (folder / "results").rglob("*.csv"):
+        assert any(fnmatch(path.name, word) for word in words), path.name
