@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from importlib import metadata
 from pathlib import Path
+from statistics import geometric_mean as geometric_mean  # for scripts
 from typing import Any
 
 import click

@@ -13,12 +13,11 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
-from statistics import geometric_mean
 from typing import Any
 
 import click
 
-from benchmarks.common import RESULTS, ROOT, read_rows
+from benchmarks.common import RESULTS, ROOT, geometric_mean, read_rows
 
 DOCUMENTS = [
     path.relative_to(ROOT).as_posix()
