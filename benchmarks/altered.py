@@ -90,15 +90,8 @@ def main(n_forged: int, n_damaged: int, folder: Path, out: Path) -> None:
         n_found = sum(is_found(path, root) for path, root in files)
         rows.append(Row("forged", method, max_error, n_files, n_found, 0, n_files - n_found))
         n_files = n_damaged // len(CASES)
-        rows.append(
-            Row(
-                "damaged",
-                method,
-                max_error,
-                n_files,
-                *damaged(method, max_error, n_files, seed, folder),
-            )
-        )
+        found = damaged(method, max_error, n_files, seed, folder)
+        rows.append(Row("damaged", method, max_error, n_files, *found))
     common.write_rows(out, rows)
 
 

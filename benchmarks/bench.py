@@ -18,16 +18,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 from PIL import Image
 
-from benchmarks import common, tables
-from benchmarks.codecs import (
-    BOUNDS,
-    SLOW,
-    exit_with_failures,
-    leave_slow_speeds,
-    measure_missing,
-    measure_speeds,
-    read_cases,
-)
+from benchmarks import codecs, common, tables
 from benchmarks.peers import make_codecs
 
 # Codecs that share a CSV: names for `make_codecs`, and our methods.
@@ -43,7 +34,6 @@ FAMILIES = {
         ["rapid+", "rapid", "predictive", "predictive-best", "cdf97"],
     ),
 }  # fmt: skip
-PART = click.Choice(FAMILIES)
 # Ours strong, the others quiet; the order is that of the legend.
 STYLES = {
     "terrainwave-rapid": {"color": "#d1495b", "linewidth": 2.2, "marker": "o"},
@@ -110,35 +100,34 @@ def draw(curves: Curves, results: Path) -> None:
 
 @common.command()
 @common.rasters_argument
-@common.option("--only", "parts", cls=common.ListOption, type=PART, default=[*FAMILIES])
-@click.option("--again", cls=common.ListOption, type=PART, help="Throw away first.")
-@click.option(
-    "--fast", is_flag=True, help="Of speeds, those of fast codecs; others stay as they are."
-)
-@common.bounds_option(*BOUNDS)
+@common.choices_option("--only", "parts", of=FAMILIES)
+@common.choices_option("--again", of=FAMILIES, default=())
+@click.option("--fast", is_flag=True, help="Of speeds, only those of fast codecs.")
+@common.bounds_option(*codecs.BOUNDS)
 def main(paths, parts, again, fast, bounds, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
     common.pin_to_cores()
     for part in again:
         if part == "speeds" and fast:
-            leave_slow_speeds(out / "speeds.csv")
+            # Slow codecs have a COG of their own.
+            common.keep_rows(out / "speeds.csv", lambda row: row["is_slow"] == "True")
         else:
             (out / f"{part}.csv").unlink(missing_ok=True)
     rows = []
     for part in parts:
-        codecs, file = make_codecs(*FAMILIES[part], folder), out / f"{part}.csv"
+        own, file = make_codecs(*FAMILIES[part], folder), out / f"{part}.csv"
         if part == "speeds":
-            codecs = [codec for codec in codecs if not (fast and codec.name.startswith(SLOW))]
-            common.write_rows(file, measure_speeds(paths, out, codecs), append=True)
+            own = [codec for codec in own if not (fast and codec.name.startswith(codecs.SLOW))]
+            common.write_rows(file, codecs.measure_speeds(paths, out, own), append=True)
             continue
-        cases = measure_missing(paths, codecs, bounds, read_cases(file))
+        cases = codecs.measure_missing(paths, own, bounds, codecs.read_cases(file))
         rows += common.write_rows(file, cases, append=True)
     for document in tables.write_all(out):
         click.echo(f"wrote {document}")
     draw(
         read_curves(out / f"{name}.csv" for name in ("rapid", "predictive", "cdf97", "peers")), out
     )
-    exit_with_failures(rows)
+    codecs.exit_with_failures(rows)
 
 
 if __name__ == "__main__":

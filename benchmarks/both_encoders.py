@@ -11,7 +11,6 @@ import os
 import sys
 import warnings
 from collections import namedtuple
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -131,12 +130,8 @@ def main(count: int, most: str, folder: Path, out: Path) -> None:
     if native_library.loaded() is None:
         raise click.UsageError("found no native library: terrainwave doctor says why")
     n_rows, n_cols = (int(part) for part in most.split("x"))
-
-    def rows() -> Iterator[Row]:
-        for number in range(count):
-            yield compare(number, (n_rows, n_cols))
-
-    differing = [row.number for row in common.write_rows(out, rows()) if not row.is_same]
+    rows = (compare(number, (n_rows, n_cols)) for number in range(count))
+    differing = [row.number for row in common.write_rows(out, rows) if not row.is_same]
     if differing:
         print(f"{len(differing)} files differ: rasters {differing}", file=sys.stderr)
         sys.exit(1)

@@ -42,14 +42,9 @@ def is_bad(tau: float, limit: bool, within: float | None, measured: float) -> bo
 
 
 def measure(
-    dem: Path,
-    size: str,
-    modes: tuple[str, ...],
-    taus: tuple[float, ...],
-    context: Any,
-    folder: Path,
-    done: Container[Picture] = (),
-) -> Iterator[Row]:
+    dem: Path, size: str, modes: tuple[str, ...], taus: tuple[float, ...], context: Any,
+    folder: Path, done: Container[Picture] = (),
+) -> Iterator[Row]:  # fmt: skip
     """Yield the pictures of a raster that are not done."""
     file = folder / f"{dem.stem}.twz"
     about = datetime.datetime.now(datetime.UTC).date(), common.describe_machine()["commit"]
@@ -81,16 +76,9 @@ def measure(
 @common.command("captions.csv")
 @common.rasters_argument
 @common.option("--size", default="1280x720")
-@common.option("--modes", cls=common.ListOption, type=click.Choice(MODES), default=MODES)
+@common.choices_option("--modes", of=MODES)
 @common.option("--taus", cls=common.ListOption, type=float, default=TAUS)
-def main(
-    paths: list[Path],
-    size: str,
-    modes: tuple[str, ...],
-    taus: tuple[float, ...],
-    folder: Path,
-    out: Path,
-) -> None:
+def main(paths, size, modes, taus, folder, out) -> None:
     """Draw, measure, print and write the CSV; exit with 1 if a caption is bad."""
     rows = common.read_rows(out)
     done = {(row["raster"], row["mode"], float(row["tau"]), row["size"]) for row in rows}

@@ -36,18 +36,17 @@ Row = namedtuple(
 )
 
 
-def flights_of(path: Path, n_frames: int, radius: float | None) -> dict[str, Callable]:
+def flights_of(
+    path: Path, n_frames: int, radius: float | None
+) -> dict[str, Callable[[int], Camera]]:
     """Return cameras by flight and number of the frame."""
-    ground = Ground(path, radius)
-    straight = {
-        name: Flights(ground).straight(*how) for name, how in (("low", LOW), ("fast", FAST))
-    }
+    ground, turns = Ground(path, radius), max(n_frames - 1, 1)
     keys = [camera_at_key(ground.frame, key) for key in KEYS]
-    found: dict[str, Callable[[int], Camera]] = {
-        "turns": lambda number: along(keys, number / max(n_frames - 1, 1))
-    }
-    return found | {
-        name: lambda number, place=place: place(number / HERTZ) for name, place in straight.items()
+    low, fast = (Flights(ground).straight(*how) for how in (LOW, FAST))
+    return {
+        "turns": lambda number: along(keys, number / turns),
+        "low": lambda number: low(number / HERTZ),
+        "fast": lambda number: fast(number / HERTZ),
     }
 
 

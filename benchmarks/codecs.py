@@ -72,19 +72,6 @@ def measure(codec: Codec, forms: Forms, max_error: float) -> Row:
     )  # fmt: skip
 
 
-def time_trials(trials: Sequence[Trial], n_runs: int, **how) -> list[common.Timed]:
-    """Return what encoding and decoding of each trial take, in turns; all are warm.
-
-    What is timed are a codec's `Calls`; what they start from is made before. `best_trial` has run
-    both, which compiles and loads what they need.
-    """
-    tasks = []
-    for trial in trials:
-        encode, decode, _ = trial.codec.calls(trial.raster, trial.max_error, trial.margin)
-        tasks += [encode, partial(decode, trial.stored)]
-    return common.take_turns(lambda: tasks, n_runs, **how)
-
-
 def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
     """Return the smallest trial that keeps the bound; the last one if none does."""
     trials = []
@@ -203,13 +190,12 @@ def measure_speeds(
                 yield from _speeds([cog, *slow], is_slow=True)
 
 
-def leave_slow_speeds(path: Path) -> None:
-    """Remove the rows of fast codecs from ``speeds.csv``: slow ones have a COG of their own."""
-    common.keep_rows(path, lambda row: row["is_slow"] == "True")
-
-
 def _speeds(trials: Sequence[Trial], *, is_slow: bool) -> Iterator[SpeedRow]:
-    times = iter(time_trials(trials, SPEED_RUNS[is_slow], clock=time.process_time))
+    tasks = []
+    for trial in trials:  # `best_trial` has run both calls, which compiles and loads what they need
+        encode, decode, _ = trial.codec.calls(trial.raster, trial.max_error, trial.margin)
+        tasks += [encode, partial(decode, trial.stored)]
+    times = iter(common.take_turns(lambda: tasks, SPEED_RUNS[is_slow], clock=time.process_time))
     for trial, encode, decode in zip(trials, times, times, strict=True):
         if trial.errors.problem:
             raise RuntimeError(f"{trial.raster.name}, {trial.codec.name}: {trial.errors}")

@@ -53,11 +53,8 @@ def measure(paths, packages: dict[str, Path], python: str, n_runs: int, folder) 
     for raster in paths:
         file = folder / f"{raster.stem}.twz"
         first = next(iter(packages.values()))
-        seconds_of(
-            python, first,
-            ["-c", common.CLI, "compress", str(raster), str(file), "--max-error", "1", "--quiet"],
-            folder / "made",
-        )  # fmt: skip
+        made = ["-c", common.CLI, "compress", str(raster), str(file), "--max-error", "1", "--quiet"]
+        seconds_of(python, first, made, folder / "made")
         for command in COMMANDS:
             found = {(name, cache): [] for name in packages for cache in ("empty", "warm")}
             for _ in range(n_runs):

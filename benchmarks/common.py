@@ -18,10 +18,10 @@ import time
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, Future
 from contextlib import ExitStack
 from importlib import metadata
 from pathlib import Path
+from statistics import geometric_mean as geometric_mean  # for scripts
 from typing import Any
 
 import click
@@ -123,6 +123,15 @@ def option(*names: str, **more: Any) -> Callable[[Callable], Callable]:
     return click.option(*names, **{"show_default": True} | more)
 
 
+def choices_option(
+    *names: str, of: Iterable[str], default: Iterable[str] | None = None
+) -> Callable[[Callable], Callable]:
+    """Return an option that takes some of the choices; all of them by default."""
+    choices = list(of)
+    chosen = choices if default is None else list(default)
+    return option(*names, cls=ListOption, type=click.Choice(choices), default=chosen)
+
+
 COUNT = click.IntRange(min=1)
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
@@ -134,7 +143,6 @@ dem_argument = click.argument("dem", type=click.Path(exists=True, dir_okay=False
 directory_argument = click.argument(
     "directory", type=click.Path(exists=True, file_okay=False, path_type=Path)
 )
-crop_option = option("--crop", type=COUNT, help="Use the upper left N x N samples.")
 
 # --- results ---
 
@@ -199,11 +207,6 @@ def _number(text: str) -> int | float | str:
     return text
 
 
-def geometric_mean(values: Sequence[float]) -> float:
-    """Return the geometric mean of positive numbers."""
-    return math.exp(math.fsum(map(math.log, values)) / len(values))
-
-
 # --- the machine ---
 
 
@@ -255,14 +258,15 @@ def _commit() -> str | None:
 # --- runs ---
 
 
-class InlineExecutor(Executor):
-    """Runs a task where it is submitted: no threads, one clock."""
+def call_elsewhere(name: str, *arguments: Any) -> None:
+    """Call a function by its full name in a process of its own, so that this one stays small.
 
-    def submit(self, function, /, *arguments) -> Future:
-        """Run a task."""
-        future: Future = Future()
-        future.set_result(function(*arguments))
-        return future
+    Arguments are numbers and texts, paths become texts.
+    """
+    module, function = name.rsplit(".", 1)
+    code = f"import json, sys, {module}; {module}.{function}(*json.loads(sys.argv[1]))"
+    given = json.dumps(arguments, default=str)
+    subprocess.run([sys.executable, "-c", code, given], check=True, cwd=ROOT)
 
 
 # What a command took: wall clock, processor time of all its threads, most resident memory.
@@ -278,6 +282,8 @@ def run_and_measure(
     process's number when it has started. The caller must be small: Linux counts the memory of a
     process at the moment it starts another towards that one's peak.
     """
+    if not hasattr(os, "wait4"):
+        raise click.UsageError("needs os.wait4: Linux or macOS")
     start = time.perf_counter()
     process = subprocess.Popen(command, **options)
     watch(process.pid)

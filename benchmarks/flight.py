@@ -46,6 +46,7 @@ JUMPS = {"jump": (1000.0, -30.0), "horizon": LOW[1:]}
 N_JUMPS, JUMP_TIMEOUT_S = 13, 10.0
 # From a server with 50 ms of latency and 20 Mbit/s.
 WEB = {"web": "jump", "web-low": "low"}
+WHATS = ("low", "fast", "jump", "horizon", "spiral", *WEB)
 # A spiral: from and to so many metres over the ground, radius in metres, degrees per second.
 SPIRAL_HEIGHTS, SPIRAL_RADIUS, SPIRAL_TURN = (6000.0, 300.0), 3000.0, 15.0
 Place = Callable[[float], Camera]
@@ -223,10 +224,6 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the scene and the file."""
         self._closing.close()
 
 
@@ -350,36 +347,15 @@ def row_of(path: Path, ground: Ground, what: str, seconds: float, tau: float, **
 @common.option("--side", default=16384, help="Of the mirrored DEM.")
 @common.option("--max-error", default=1.0)
 @common.option("--mode", "modes", cls=common.ListOption, default=("adaptive", "batched"))
-@common.option(
-    "--what",
-    cls=common.ListOption,
-    default=("low", "fast", "jump", "horizon", "spiral", "web", "web-low"),
-)
+@common.choices_option("--what", of=WHATS)
 @common.option("--size", default="1920x1080")
 @common.option("--max-pixel-error", "tau", default=1.0)
 @common.option("--threads", default=2)
 @common.option("--memory", default=1024, help="MiB.")
 @common.option("--radius", type=float, help="Of the body, without a CRS.")
 @common.option("--gpu", is_flag=True, help="Draw by OpenGL.")
-@common.option(
-    "--horizon", cls=common.ListOption, default=("on",), help="Leave out blocks behind ground."
-)
 def main(
-    dem,
-    seconds,
-    side,
-    max_error,
-    modes,
-    what,
-    size,
-    tau,
-    threads,
-    memory,
-    radius,
-    gpu,
-    horizon,
-    folder,
-    out,
+    dem, seconds, side, max_error, modes, what, size, tau, threads, memory, radius, gpu, folder, out
 ) -> None:
     """Measure, print and write the CSV."""
     viewport = Viewport(*(int(part) for part in size.split("x")))
@@ -397,9 +373,7 @@ def main(
             options |= {} if radius is None else {"radius": radius}
             _warm_up(path, ground, tau, options)
             for one in what:
-                for each in horizon:
-                    options["horizon"] = each == "on"
-                    yield row_of(path, ground, one, seconds, tau, **options)
+                yield row_of(path, ground, one, seconds, tau, **options)
 
     common.write_rows(out, rows())
 

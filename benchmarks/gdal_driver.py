@@ -32,7 +32,7 @@ import rasterio
 
 import terrainwave
 from benchmarks import common
-from benchmarks.slow_server import SlowServer
+from benchmarks.slow_server import SlowServer, total
 
 # Processor time, medians: nanoseconds per sample, milliseconds, seconds; `http_s` is on the wall.
 Reader = namedtuple(
@@ -156,44 +156,35 @@ def first_pixel(environment: dict[str, str], path: Path, n_runs: int) -> float:
     return statistics.median(seconds)
 
 
-def over_http(environment: dict[str, str], path: Path, box: list[int]) -> tuple[int, float]:
-    """Return requests and seconds of a window, by GDAL in a process of its own."""
+def over_http(path: Path, read: Callable[[str], object]) -> tuple[int, float]:
+    """Return requests and seconds of a read of a file's address."""
     with SlowServer(path.parent, DELAY, inf) as server:
-        asked = json.dumps([f"/vsicurl/{server.url(path.name)}", box])
-        run(environment, SYSTEM_PYTHON, "-c", WINDOW, asked)
-        return server.n_requests, server.log[-1].end - server.log[0].start
-
-
-def terrain_over_http(path: Path, box: list[int]) -> tuple[int, float]:
-    """Return the same of `Terrain.read`."""
-    column, row, width, height = box
-    with SlowServer(path.parent, DELAY, inf) as server:
-        with terrainwave.open(server.url(path.name)) as terrain:
-            terrain.read((row, column, height, width))
+        read(server.url(path.name))
         return server.n_requests, server.log[-1].end - server.log[0].start
 
 
 def terrain_reader(path: Path, box: list[int], n_runs: int) -> Reader:
     """Return what `Terrain` takes, kernels warm, by one thread."""
     column, row, width, height = box
-    whole, opened, windows = [], [], []
-    for number in range(n_runs + 1):
-        start = time.process_time()
+    times, clock = [], time.process_time
+    for _ in range(n_runs + 1):
+        start = clock()
         with terrainwave.open(path, threads=1) as terrain:
-            opened.append(time.process_time() - start)
-            start = time.process_time()
+            opened = clock()
             terrain.read((row, column, height, width))
-            windows.append(time.process_time() - start)
+            read = clock()
         with terrainwave.open(path, threads=1) as terrain:
-            cpu = time.process_time()
-            n_samples = terrain.read().size
-            whole.append((time.process_time() - cpu) / n_samples * 1e9)
-        if number == 0:  # it may have compiled
-            for seconds in (whole, opened, windows):
-                seconds.clear()
-    middle = statistics.median
-    times = middle(whole), min(whole), middle(opened) * 1e3, middle(windows) * 1e3
-    return Reader(path.stat().st_size, *times, 0.0, *terrain_over_http(path, box))
+            cpu = clock()
+            ns = 1e9 / terrain.read().size * (clock() - cpu)
+        times.append((ns, 1e3 * (opened - start), 1e3 * (read - opened)))
+    whole, *others = zip(*times[1:], strict=True)  # the first run may have compiled
+
+    def window(url: str) -> None:
+        with terrainwave.open(url) as terrain:
+            terrain.read((row, column, height, width))
+
+    medians = statistics.median(whole), min(whole), *map(statistics.median, others)
+    return Reader(path.stat().st_size, *medians, 0.0, *over_http(path, window))
 
 
 def steps_of(environment: dict[str, str], *command: object) -> Iterator[None]:
@@ -230,7 +221,7 @@ def counted(server: SlowServer, steps: Iterator[None]) -> np.ndarray:
     found, n_before = [], len(server.log)
     for _ in steps:
         log, n_before = server.log[n_before:], len(server.log)
-        found.append((len(log), sum(exchange.n_bytes for exchange in log)))
+        found.append(total(log)[::2])
     return np.array(found).reshape(-1, 2, 2)
 
 
@@ -309,6 +300,11 @@ def measure(paths, bounds, plugin: Path, n_runs: int, folder: Path) -> Iterator[
             asked = json.dumps([list(map(str, files.values())), n_runs, box])
             gdal, found = json.loads(run(environment, SYSTEM_PYTHON, "-c", WORKER, asked))
             head = raster.stem, bound, gdal, n_rows * n_cols, n_runs
+
+            def window(url: str, box=box) -> None:
+                asked = json.dumps([f"/vsicurl/{url}", box])
+                run(environment, SYSTEM_PYTHON, "-c", WINDOW, asked)
+
             for reader, path in files.items():
                 seconds = found[str(path)]
                 ns = [one / (n_rows * n_cols) * 1e9 for one in seconds["cpu"]]
@@ -316,7 +312,7 @@ def measure(paths, bounds, plugin: Path, n_runs: int, folder: Path) -> Iterator[
                     head, reader, path.stat().st_size, statistics.median(ns), min(ns),
                     statistics.median(seconds["open"]) * 1e3,
                     statistics.median(seconds["window"]) * 1e3,
-                    first_pixel(environment, path, n_runs), *over_http(environment, path, box),
+                    first_pixel(environment, path, n_runs), *over_http(path, window),
                 )  # fmt: skip
             yield _row(head, "numba", *terrain_reader(file, box, n_runs))
 

@@ -20,7 +20,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import click
 import rasterio
 from rasterio.windows import Window
 
@@ -28,7 +27,7 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import write_cog
 from benchmarks.slow_server import SlowServer
-from benchmarks.windows import corners
+from benchmarks.windows import corners, read_cog, read_terrain
 
 JS = common.ROOT / "js"
 N_WARM = 2
@@ -102,13 +101,8 @@ def page(server: SlowServer) -> Iterator[Ask]:
 
 def expected_of(path: Path, window: Window) -> str:
     """Return the digest of what Python, or GDAL, reads."""
-    if path.suffix == ".twz":
-        with terrainwave.open(path, threads=1) as terrain:
-            heights = terrain.read((window.row_off, window.col_off, window.height, window.width))
-    else:
-        with rasterio.open(path) as dataset:
-            heights = dataset.read(1, window=window)
-    return hashlib.sha256(heights.tobytes()).hexdigest()
+    read = read_terrain if path.suffix == ".twz" else read_cog
+    return hashlib.sha256(read(path, window).tobytes()).hexdigest()
 
 
 def make_files(raster: Path, bound: float, folder: Path) -> dict[str, Path]:
@@ -145,7 +139,7 @@ def windows_of(shape: tuple[int, int], side: int | None, n: int) -> list[Window]
     return [Window(col, row, side, side) for row, col in corners(shape, side, "any", n)]
 
 
-def measure(rasters, bounds, n_workers, only_workers, n_runs, folder) -> Iterator[Row]:
+def measure(rasters, bounds, n_workers, n_runs, folder) -> Iterator[Row]:
     """Yield the rows of each raster, bound, engine and read."""
     with ExitStack() as stack:
         if not (folder / "js").is_symlink():
@@ -169,7 +163,7 @@ def measure(rasters, bounds, n_workers, only_workers, n_runs, folder) -> Iterato
                     numbers = (0, n_workers) if by_workers else (0,)
                     windows = windows_of(shape, side, N_WARM + n_runs)
                     for engine in ENGINES:
-                        for workers in numbers[only_workers:]:
+                        for workers in numbers:
                             found: dict[str, list[float]] = {key: [] for key in files}
                             for window in windows:
                                 for key, path in files.items():
@@ -201,11 +195,10 @@ def row_of(raster, bound, engine, what, workers, found, n_runs) -> Row:
 @common.rasters_argument
 @common.bounds_option(0, 1)
 @common.option("--workers", type=common.COUNT, default=2)
-@click.option("--by-workers", is_flag=True, help="Measure these reads alone.")
 @common.option("--runs", type=common.COUNT, default=5)
-def main(paths, bounds, workers, by_workers, runs, folder, out) -> None:
+def main(paths, bounds, workers, runs, folder, out) -> None:
     """Measure reads in JavaScript."""
-    common.write_rows(out, measure(paths, bounds, workers, by_workers, runs, folder))
+    common.write_rows(out, measure(paths, bounds, workers, runs, folder))
 
 
 if __name__ == "__main__":

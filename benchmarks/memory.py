@@ -7,12 +7,9 @@ does, with its cache as it comes, 5 % of the machine's memory, and with one of 6
 process of its own, whose start counts; they take turns, and medians are given, of memory the most.
 This process imports nothing large, because Linux counts the memory of a process at the moment it
 starts another towards the *other's* peak. What follows ``--`` goes to ``terrainwave compress``.
-
-Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
 
 import os
-import subprocess
 import sys
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
@@ -23,12 +20,6 @@ import click
 
 from benchmarks import common
 
-_MAKE = """
-import sys
-from pathlib import Path
-from benchmarks.rasters import make_mirrored
-make_mirrored(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), sys.argv[4])
-"""
 # What `benchmarks.rasters.write_cog` does, without what else that module imports.
 _COG = """
 import sys
@@ -68,19 +59,16 @@ def rows_of(
     source: Path, head: tuple, n_runs: int, max_error: float, extra: Sequence[str]
 ) -> Iterator[Row]:
     """Yield the rows of a raster: one for each writer."""
-    targets = {
-        writer: source.with_name("mirrored.tif" if "COG" in writer else "mirrored.twz")
-        for writer in WRITERS
-    }
     used: dict[str, list] = {writer: [] for writer in WRITERS}
     n_bytes: dict[str, int] = {}
     for _ in range(n_runs + 1):
-        for writer, target in targets.items():
-            used[writer].append(run(writer, source, target, max_error, extra))
+        for writer, found in used.items():
+            target = source.with_name("mirrored.tif" if "COG" in writer else "mirrored.twz")
+            found.append(run(writer, source, target, max_error, extra))
             n_bytes[writer] = target.stat().st_size
-    for writer in WRITERS:
+    for writer, found in used.items():
         # The first round may compile.
-        seconds, cpu_seconds, peaks = zip(*used[writer][1:], strict=True)
+        seconds, cpu_seconds, peaks = zip(*found[1:], strict=True)
         yield Row(
             *head, max_error, writer, n_runs, round(source.stat().st_size / 2**20, 1),
             n_bytes[writer], round(max(peaks), 1), round(median(seconds), 2),
@@ -97,15 +85,13 @@ def rows_of(
 @common.option("--runs", "n_runs", type=common.COUNT, default=2)
 def main(dem, extra, sizes, layout, max_error, n_runs, folder, out) -> None:
     """Run the measurement."""
-    if not hasattr(os, "wait4"):
-        raise click.UsageError("needs os.wait4: Linux or macOS")
     common.pin_to_cores()
     found: list[Row] = []
     for size in sizes:
         source = folder / f"mirrored-{size}-{layout}.tif"
         if not source.exists():
-            maker = [sys.executable, "-c", _MAKE, str(dem), str(source), str(size), layout]
-            subprocess.run(maker, check=True)
+            places = dem.absolute(), source.absolute()
+            common.call_elsewhere("benchmarks.rasters.make_mirrored", *places, size, layout)
         found += rows_of(source, (dem.stem, size, layout), n_runs, max_error, extra)
     common.write_rows(out, found)  # last, for it imports a lot
 

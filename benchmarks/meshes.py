@@ -30,7 +30,7 @@ from pymartini import Martini
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import coefficients_of, middle, whole_units
+from benchmarks.rasters import coefficients_of, whole_units
 from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.mesh_distance import largest_deviation
 from terrainwave.tri.rqt import stored as rqt
@@ -246,7 +246,8 @@ def crops(directory: Path, sides: Sequence[int]) -> Iterator[tuple[str, np.ndarr
     for name in CROPS:
         heights = whole_units(directory / f"{name}.tif")
         side = next((side for side in sides if side <= min(heights.shape)), sides[-1])
-        yield name, np.ascontiguousarray(heights[middle(heights.shape, side).toslices()])
+        middle = tuple(slice(max(n - side, 0) // 2, (n + side) // 2) for n in heights.shape)
+        yield name, np.ascontiguousarray(heights[middle])
 
 
 @common.command("meshes.csv")

@@ -5,8 +5,6 @@ from opening a file to closing it; readers take turns. "whole" is the full grid,
 samples a side in the middle of it; the COG (LERC_ZSTD, blocks of 512) is made by GDAL of the same
 GeoTIFF. "first" is a process of its own that reads the whole file where no kernel has been compiled
 yet, from the start of Python to its end, "again" the same once more.
-
-Exit status: 0 good; 1 heights differ with and without; 2 wrong usage.
 """
 
 import os
@@ -26,7 +24,9 @@ from rasterio.windows import Window
 import terrainwave
 from benchmarks import common
 from benchmarks.cold import READ, seconds_of
-from benchmarks.rasters import write_cog
+from benchmarks.rasters import write_pair
+from benchmarks.windows import read_cog, read_terrain
+from terrainwave.coding import native_library
 from terrainwave.read import native
 
 # Milliseconds of processor time, medians; `samples` are those that are read.
@@ -34,32 +34,17 @@ Row = namedtuple("Row", "raster max_error task reader samples n_runs median_ms m
 SIDE = 512
 
 
-def read_terrain(path: Path, window: Window | None, *, is_native: bool) -> np.ndarray:
-    """Open a file of ours, read a window or all of it, close it."""
-    rows_cols = window and (window.row_off, window.col_off, window.height, window.width)
-    with terrainwave.open(path, threads=1, native=is_native) as terrain:
-        return terrain.read(rows_cols)
-
-
-def read_cog(path: Path, window: Window | None) -> np.ndarray:
-    """Open a GeoTIFF, read a window or all of it, close it."""
-    with rasterio.open(path) as dataset:
-        return dataset.read(1, window=window)
-
-
 def warm_rows(path: Path, bound: float, folder: Path, n_runs: int) -> Iterator[Row]:
     """Yield the rows of a raster, all compiled."""
-    ours, cog = folder / "native.twz", folder / "native.tif"
-    terrainwave.compress(path, ours, max_error=bound, method="rapid", mesh="none", overwrite=True)
-    write_cog(path, cog, bound)
+    ours, cog = write_pair(path, folder / "native", bound, method="rapid").values()
     with terrainwave.open(ours) as terrain:
         n_rows, n_cols = terrain.shape
     side = min(SIDE, n_rows, n_cols)
     middle = Window((n_cols - side) // 2, (n_rows - side) // 2, side, side)
     for task, window in (("whole", None), ("window", middle)):
         readers = {
-            "native": partial(read_terrain, ours, window, is_native=True),
-            "numba": partial(read_terrain, ours, window, is_native=False),
+            "native": partial(read_terrain, ours, window, native=True),
+            "numba": partial(read_terrain, ours, window, native=False),
             "cog": partial(read_cog, cog, window),
         }
         for reader in readers.values():
@@ -82,14 +67,14 @@ def first_rows(path: Path, bound: float, folder: Path, n_runs: int) -> Iterator[
         for reader, switch in (("native", "1"), ("numba", "0")):
             cache = folder / "cache"
             shutil.rmtree(cache, ignore_errors=True)
-            os.environ[native.SWITCH] = switch
+            os.environ[native_library.SWITCH] = switch
             for task in ("first", "again"):
                 seconds = seconds_of(
                     sys.executable, common.ROOT / "src",
                     ["-c", READ, str(folder / "native.twz")], cache,
                 )  # fmt: skip
                 found.setdefault((task, reader), []).append(1000 * seconds)
-    del os.environ[native.SWITCH]
+    del os.environ[native_library.SWITCH]
     for (task, reader), times in found.items():
         numbers = (round(statistics.median(times)), round(max(times)))
         yield Row(path.stem, bound, task, reader, n_samples, n_runs, *numbers)

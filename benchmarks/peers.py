@@ -80,7 +80,9 @@ class Terrainwave(Codec):
         self._is_whole = method.endswith("+")
         self._method, _, effort = method.rstrip("+").partition("-")
         self._effort = effort or "default"
-        self._source, self._target = _places(folder, self.name, ".twz")
+        self._source, self._target = (
+            folder / f"{self.name}{end}" for end in ("-source.tif", ".twz")
+        )
 
     def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
         """Write the raster as an uncompressed GeoTIFF; return `compress`, and `open` and read."""
@@ -102,11 +104,6 @@ class Terrainwave(Codec):
         return Calls(encode, decode, as_they_are)
 
 
-def _places(folder: Path, name: str, ending: str) -> tuple[Path, Path]:
-    """Return where a codec's source and its file lie."""
-    return folder / f"{name}-source.tif", folder / f"{name}{ending}"
-
-
 class _Cog(Codec):
     """A Cloud Optimized GeoTIFF with overviews, which GDAL makes of a GeoTIFF and reads.
 
@@ -122,7 +119,9 @@ class _Cog(Codec):
         # Where a float is decoded a rounding beyond the bound.
         self.margins = (1.0, 0.999, 0.99, 0.95)
         self._as_float, self._compress = as_float, compress
-        self._source, self._target = _places(folder, self.name, ".tif")
+        self._source, self._target = (
+            folder / f"{self.name}{end}" for end in ("-source.tif", ".tif")
+        )
 
     def takes_nan(self, raster: Raster) -> bool:
         return self._as_float or not raster.is_integer
@@ -249,11 +248,9 @@ class _FloatCodec(Codec):
     margins = (1.0, 0.999, 0.99, 0.95)
 
     def __init__(
-        self,
-        name: str,
-        pack: Callable[[np.ndarray, float], Any],
+        self, name: str, pack: Callable[[np.ndarray, float], Any],
         unpack: Callable[[Any, tuple[int, int]], np.ndarray],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.name, self._pack, self._unpack = name, pack, unpack
 
     def refuses(self, raster: Raster, max_error: float) -> str:
@@ -268,7 +265,7 @@ class _FloatCodec(Codec):
         )
 
 
-def sperr() -> Codec:
+def sperr(_folder: Path) -> Codec:
     """Return SPERR, wavelet and outlier coder with a point-wise error bound, one thread."""
     import imagecodecs as library
 
@@ -279,7 +276,7 @@ def sperr() -> Codec:
     )
 
 
-def sz3() -> Codec:
+def sz3(_folder: Path) -> Codec:
     """Return SZ3 with its default algorithm."""
     import imagecodecs as library
 
@@ -290,7 +287,7 @@ def sz3() -> Codec:
     )
 
 
-def sz3_interpolation() -> Codec:
+def sz3_interpolation(_folder: Path) -> Codec:
     """Return SZ3 with its interpolation predictor, which wins at low rates."""
     import pysz as library
 
@@ -308,15 +305,12 @@ def sz3_interpolation() -> Codec:
 
 
 PEERS: dict[str, Callable[[Path], Codec]] = {
-    "sperr": lambda _folder: sperr(),
-    "sz3": lambda _folder: sz3(),
-    "sz3-interp": lambda _folder: sz3_interpolation(),
+    "sperr": sperr, "sz3": sz3, "sz3-interp": sz3_interpolation, "cog": _Cog,
     "jxl-e9": lambda _folder: _JpegXl(9),
     "jxl-e7": lambda _folder: _JpegXl(7),
-    "cog": _Cog,
     "cog-float32": lambda folder: _Cog(folder, as_float=True),
     "cog-zstd": lambda folder: _Cog(folder, compress="ZSTD"),
-}
+}  # fmt: skip
 
 
 def make_codecs(names: Iterable[str], methods: Iterable[str], folder: Path) -> list[Codec]:

@@ -15,11 +15,8 @@ time. `orbit` is a picture of the whole, `low` one from 9000 m, `low 192` the sa
 with the most bytes that its temporary files had on the disk. `verify original` compares with the
 VRT. `decompress` writes the full grid of an 8th of the planet or less, else the finest level that
 is as small.
-
-Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
 
-import os
 import shutil
 import subprocess
 import sys
@@ -31,7 +28,7 @@ from pathlib import Path
 import click
 
 from benchmarks import common
-from benchmarks.slow_server import Exchange, SlowServer
+from benchmarks.slow_server import SlowServer, total
 
 DEGREE = 3600
 N_ENTRIES, N_TILES = 26_000, 200
@@ -53,12 +50,6 @@ STAGES = (
 # a second to the page.
 DECOMPRESSED, LATENCY, BITS = 8, 0.05, 20e6
 
-_MAKE = """
-import sys
-from pathlib import Path
-from benchmarks import planet
-planet.make(Path(sys.argv[1]), Path(sys.argv[2]), *map(int, sys.argv[3:]))
-"""
 _WINDOWS = """
 import sys
 import terrainwave
@@ -116,7 +107,7 @@ Row = namedtuple(
 )
 
 
-def make(data: Path, folder: Path, share: int, dense: int) -> None:
+def make(data: str | Path, folder: str | Path, share: int, dense: int) -> None:
     """Write the rasters and the VRT that names them."""
     import numpy as np
     import rasterio
@@ -127,7 +118,7 @@ def make(data: Path, folder: Path, share: int, dense: int) -> None:
         "driver": "GTiff", "count": 1, "dtype": "int16", "tiled": True, "blockxsize": 256,
         "blockysize": 256, "compress": "deflate",
     }  # fmt: skip
-    names = []
+    names, data, folder = [], Path(data), Path(folder)
     for path in sorted(data.glob("*.tif")):
         with rasterio.open(path) as dataset:
             heights = dataset.read(1, out_dtype="float64", masked=True).filled(-32768)
@@ -195,6 +186,7 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
     lat, lon = (90 - row / DEGREE * share), (col / DEGREE * share - 180)
     window = ["--window", f"{row},{col},2048,2048"]
     picture = [str(folder / "picture.png"), *common_options]
+    level = ["--level", str(-1 - _n_coarser(share))]
     low = ["--camera", f"{lon},{lat},9000,135,-30,60"]
     found = {
         "compress": ["compress", tif, twz, "--max-error", "1", *common_options],
@@ -206,14 +198,7 @@ def commands(folder: Path, share: int) -> dict[str, list[str]]:
         "orbit": ["render", twz, *picture],
         "low": ["render", twz, *picture, *low],
         "low 192": ["render", twz, *picture, *low, "--memory", "192"],
-        "decompress": [
-            "decompress",
-            twz,
-            str(folder / "back.tif"),
-            *common_options,
-            "--level",
-            str(-1 - _n_coarser(share)),
-        ],
+        "decompress": ["decompress", twz, str(folder / "back.tif"), *common_options, *level],
     }
     ground = [twz, str(lon), str(lat), "100", "135,-10,60", *picture]
     return {
@@ -229,8 +214,7 @@ def _n_coarser(share: int) -> int:
 def measured(data: Path, folder: Path, share: int, dense: int, stages: list[str]) -> Iterator[Row]:
     """Yield the rows of all stages; a file that is there is used."""
     if not (folder / "planet.vrt").exists():
-        maker = [sys.executable, "-c", _MAKE, data, folder, share, dense]
-        subprocess.run([str(part) for part in maker], check=True)
+        common.call_elsewhere("benchmarks.planet.make", data, folder, share, dense)
     n_samples = 180 * 360 * DEGREE**2 // share**2
     twz = folder / "planet.twz"
     every = commands(folder, share)
@@ -257,8 +241,7 @@ def _window_rows(folder: Path, share: int, dense: int) -> Iterator[Row]:
         yield Row(share, dense, f"{name} disk", n_samples, *map(_rounded, used), 0, 0, 0)
         with SlowServer(folder, LATENCY, float("inf")) as server:
             used = common.run_and_measure([*command, server.url("planet.twz"), row, col])
-            n_bytes = sum(exchange.n_bytes for exchange in server.log)
-            counts = len(server.log), n_rounds(server.log), n_bytes
+        counts = total(server.log)
         yield Row(share, dense, f"{name} http", n_samples, *map(_rounded, used), *counts)
 
 
@@ -302,24 +285,6 @@ def _first_picture_row(folder: Path, share: int, dense: int) -> Row:
     return Row(share, dense, "first picture", 0, _rounded(seconds), 0, 0, *counts)
 
 
-def n_rounds(log: list[Exchange]) -> int:
-    """Return how many times a client waited for replies: requests that overlap are one round."""
-    n, first_end = 0, 0.0
-    for one in sorted(log, key=lambda exchange: exchange.start):
-        if not n or one.start >= first_end:
-            n, first_end = n + 1, one.end
-        first_end = min(first_end, one.end)
-    return n
-
-
-def forget(out: Path, share: int, stages: list[str]) -> None:
-    """Take out of the CSV what is to be measured again."""
-    names = {*stages}
-    if "window" in names:
-        names |= {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
-    common.keep_rows(out, lambda row: row["share"] != share or row["stage"] not in names)
-
-
 def _rounded(number: float) -> float:
     return round(number, 2)
 
@@ -328,16 +293,14 @@ def _rounded(number: float) -> float:
 @click.argument("data", type=click.Path(path_type=Path, exists=True, file_okay=False))
 @common.option("--share", type=click.IntRange(min=1), default=1, help="1: the planet; 8: an 8th.")
 @common.option("--dense", type=click.IntRange(min=4096), default=65536)
-@common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
+@common.choices_option("--stages", of=STAGES)
 @common.option("--append", is_flag=True, help="Keep the rows of other parts and stages.")
-def main(
-    data: Path, share: int, dense: int, stages: list[str], append: bool, folder: Path, out: Path
-) -> None:
+def main(data, share, dense, stages, append, folder, out) -> None:
     """Run the measurement."""
-    if not hasattr(os, "wait4"):
-        raise click.UsageError("needs os.wait4: Linux or macOS")
-    if append:
-        forget(out, share, stages)
+    if append:  # what is measured again goes
+        windows = {f"{name} {place}" for name in WINDOWS for place in ("disk", "http")}
+        gone = {*stages} | (windows if "window" in stages else set())
+        common.keep_rows(out, lambda row: row["share"] != share or row["stage"] not in gone)
     rows = measured(data.absolute(), folder.absolute(), share, dense, stages)
     common.write_rows(out, rows, append=append)
 

@@ -1,7 +1,7 @@
 """Rasters as benchmarks need them: heights, mask, vertical quantum, fills for voids.
 
-What checks the package must not depend on it: only `coefficients_of` and
-`mirrored_file` use terrainwave.
+What checks the package must not depend on it: only `coefficients_of`, `mirrored_file` and
+`write_pair` use terrainwave.
 """
 
 import math
@@ -113,20 +113,37 @@ def write_cog(source: Path, target: Path, max_error: float, compression: str = "
     return target
 
 
+def write_pair(source: Path, target: Path, max_error: float, **options) -> dict[str, Path]:
+    """Make a file of ours, without meshes, and a COG of a GeoTIFF, beside each other."""
+    import terrainwave
+
+    files = {"terrainwave": target.with_suffix(".twz"), "cog": target.with_suffix(".tif")}
+    terrainwave.compress(
+        source, files["terrainwave"], max_error=max_error, mesh="none", overwrite=True, **options
+    )
+    write_cog(source, files["cog"], max_error)
+    return files
+
+
 def largest_error(original: np.ndarray, decoded: np.ndarray, mask: np.ndarray) -> float:
     """Return how far valid heights are from the original, in float64."""
     apart = np.abs(decoded.astype(np.float64) - original)
     return float(apart.max(initial=0.0, where=mask))
 
 
-def make_mirrored(source: Path, target: Path, size: int, layout: str = "tiled") -> None:
+def make_mirrored(
+    source: Path, target: Path, size: int, layout: str = "tiled", spacing: float = 0.0
+) -> None:
     """Write a `size` x `size` raster that repeats `source`, every second time mirrored.
 
-    Continuous everywhere, so that it compresses like real ground.
+    Continuous everywhere, so that it compresses like real ground. With `spacing`, samples are so
+    many metres apart.
     """
     with rasterio.open(source) as dataset:
         heights = dataset.read(1)
         profile = {name: dataset.profile[name] for name in ("nodata", "crs", "transform", "dtype")}
+    if spacing:
+        profile["transform"] = rasterio.Affine(spacing, 0, 0, 0, -spacing, 0)
     rows, columns = (_mirrored_indices(size, period) for period in heights.shape)
     profile |= {"driver": "GTiff", "count": 1, "height": size, "width": size, "BIGTIFF": "IF_SAFER"}
     is_tiled = layout == "tiled"
@@ -177,12 +194,6 @@ def whole_units(path: Path) -> np.ndarray:
     with rasterio.open(path) as dataset:
         heights = dataset.read(1, masked=True)
     return np.rint(heights.filled(heights.min())).astype(np.int32)
-
-
-def middle(shape: tuple[int, int], side: int) -> Window:
-    """Return the window of the middle, at most `side` samples a side."""
-    n_rows, n_cols = (min(length, side) for length in shape)
-    return Window((shape[1] - n_cols) // 2, (shape[0] - n_rows) // 2, n_cols, n_rows)
 
 
 # --- voids: peers without a mask get the best of several fills, and pay for the mask ---
@@ -263,8 +274,9 @@ def mask_bytes(mask: np.ndarray) -> int:
 
 
 def vrt_source(
-    name: str | Path, part: tuple[int, int, int, int], row: int, col: int, nodata: float = -32768
-) -> str:
+    name: str | Path, part: tuple[int, int, int, int], row: int, col: int,
+    nodata: float | None = -32768,
+) -> str:  # fmt: skip
     """Return the element of a VRT that puts a part of a file at a place.
 
     `part` is its first row and column, rows and columns. A relative `name` is beside the VRT.
@@ -272,8 +284,9 @@ def vrt_source(
     first_row, first_col, n_rows, n_cols = part
     size = f'xSize="{n_cols}" ySize="{n_rows}"'
     is_relative = int(not Path(name).is_absolute())
+    voids = "" if nodata is None else f"<NODATA>{nodata}</NODATA>"
     return (
         f'<ComplexSource><SourceFilename relativeToVRT="{is_relative}">{name}</SourceFilename>'
         f'<SourceBand>1</SourceBand><SrcRect xOff="{first_col}" yOff="{first_row}" {size}/>'
-        f'<DstRect xOff="{col}" yOff="{row}" {size}/><NODATA>{nodata}</NODATA></ComplexSource>'
+        f'<DstRect xOff="{col}" yOff="{row}" {size}/>{voids}</ComplexSource>'
     )

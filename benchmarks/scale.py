@@ -12,13 +12,9 @@ A raster of 512² comes first: it loads all kernels, and what it takes is what s
 `per_million` is processor time per 10^6 samples (of the window for ``mesh``; for ``whole`` and
 ``low`` that of a picture), `net_per_million` that of what is above the raster of 512². Small sizes
 are medians of some runs. Warm numba's cache before (``terrainwave warmup``).
-
-Exit status: 0 good; 1 a command failed; 2 wrong usage.
 """
 
-import os
 import statistics
-import subprocess
 import sys
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
@@ -38,16 +34,6 @@ N_RUNS = {START: 3, 4096: 3}
 # Metres between samples: with them, heights in metres make pictures. Those of the moon raster.
 SPACING = 118.45
 
-_MAKE = """
-import sys
-from pathlib import Path
-import rasterio
-from benchmarks.rasters import make_mirrored
-source, target, size, spacing = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
-make_mirrored(Path(source), Path(target), size)
-with rasterio.open(target, "r+") as dataset:
-    dataset.transform = rasterio.Affine(spacing, 0, 0, 0, -spacing, 0)
-"""
 _READ = """
 import sys
 import terrainwave
@@ -122,8 +108,10 @@ def measured(dem: Path, sizes: Sequence[int], stages: Sequence[str], folder: Pat
     for size in sizes:
         source, target = folder / f"mirrored-{size}.tif", folder / f"mirrored-{size}.twz"
         if not source.exists():
-            maker = [sys.executable, "-c", _MAKE, str(dem), str(source), str(size), str(SPACING)]
-            subprocess.run(maker, check=True)
+            places = dem.absolute(), source.absolute()
+            common.call_elsewhere(
+                "benchmarks.rasters.make_mirrored", *places, size, "tiled", SPACING
+            )
         for stage in stages if target.exists() else dict.fromkeys(["compress", *stages]):
             found = measure(source, target, size, stage)
             start = starts.setdefault(stage, found[-1].cpu_seconds)
@@ -136,14 +124,10 @@ def measured(dem: Path, sizes: Sequence[int], stages: Sequence[str], folder: Pat
 @common.command("scale_commands.csv")
 @common.dem_argument
 @common.option("--sizes", cls=common.ListOption, type=click.IntRange(min=SIDE), default=SIZES)
-@common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
+@common.choices_option("--stages", of=STAGES)
 @common.option("--append", is_flag=True, help="Keep the rows that are there.")
-def main(
-    dem: Path, sizes: list[int], stages: list[str], append: bool, folder: Path, out: Path
-) -> None:
+def main(dem, sizes, stages, append, folder, out) -> None:
     """Run the measurement."""
-    if not hasattr(os, "wait4"):
-        raise click.UsageError("needs os.wait4: Linux or macOS")
     rows = measured(dem, [START, *sizes], stages, folder)
     kept = (row for row in rows if not (append and row.size == START))
     common.write_rows(out, kept, append=append)

@@ -13,6 +13,7 @@ import socket
 import threading
 import time
 from collections import namedtuple
+from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Self
@@ -24,6 +25,18 @@ _CHUNK = 8192
 
 # One request: start and end of its reply in seconds of `time.monotonic`, and what was asked for.
 Exchange = namedtuple("Exchange", "start end n_bytes path user_agent")
+
+# What some exchanges come to; those that overlap are one round: a client waited for them once.
+Total = namedtuple("Total", "requests rounds n_bytes")
+
+
+def total(log: Sequence[Exchange]) -> Total:
+    """Return what exchanges come to: rounds are the most that begin one after the other's end."""
+    n_rounds, last_end = 0, -math.inf
+    for exchange in sorted(log, key=lambda exchange: exchange.end):
+        if exchange.start >= last_end:
+            n_rounds, last_end = n_rounds + 1, exchange.end
+    return Total(len(log), n_rounds, sum(exchange.n_bytes for exchange in log))
 
 
 def _type_of(name: str) -> str:
@@ -87,19 +100,9 @@ class _Handler(BaseHTTPRequestHandler):
         if match:
             self.send_header("Content-Range", f"bytes {first}-{first + len(body) - 1}/{size}")
         self.end_headers()
-        self._send(body or b"", start)
+        self._send(body if body and self.command == "GET" else b"", start)
 
-    def do_HEAD(self) -> None:
-        """Say how long a file is, as GDAL asks first."""
-        owner, start = self.server.owner, time.monotonic()
-        path = owner.folder / unquote(self.path).lstrip("/")
-        time.sleep(owner.latency)
-        agent = self.headers.get("User-Agent", "")
-        owner.log.append(Exchange(start, time.monotonic(), 0, self.path, agent))
-        self.send_response(200 if path.is_file() else 404)
-        self.send_header("Content-Length", str(path.stat().st_size if path.is_file() else 0))
-        self.send_header("Accept-Ranges", "bytes")
-        self.end_headers()
+    do_HEAD = do_GET  # GDAL asks first how long a file is
 
     def _send(self, body: bytes, start: float) -> None:
         """Send a body at the pace of the line; noted before its last bytes."""

@@ -3,17 +3,10 @@
 Of one raster all methods at the same bounds; all modes of the viewer from the same cameras at
 one error on screen; and the papers' own figures beside those.
 
-``--only dynamic`` flies over the first 512, 1024, 2048 and 4096 samples a side: down on the first
-512, the same for all; and low over the ground towards the far corner, which shows more the larger
-the raster is. On the first 512 also dynamic against rqt at one threshold, by the papers' errors, by
-coefficients of cdf53 and by measured ones; and dynamic by steps, down and 30 times as fast.
-`largest_pixels` is the largest distance on screen of some originals in view.
-
-``--only trees`` draws mode dynamic with trees of 4 to 256 samples a side; and with each patch
-alone, as mode vertex-texture has them.
-
-``--only orientation`` appends triangles from above, at 45 degrees and level, with and without
-``--orientation``.
+``--only dynamic`` flies over the first 512 samples a side, down on them, and low towards the far
+corner: mode dynamic against rqt at one threshold, by the papers' errors, by coefficients of cdf53
+and by measured ones; and dynamic by steps, down and 30 times as fast. `largest_pixels` is the
+largest distance on screen of some originals in view.
 
 CPU times are of the drawing thread, by its own clock, without draw calls: a software driver draws
 in that thread. "frame" is the time until the driver has drawn. Bytes are those handed to moderngl.
@@ -24,23 +17,19 @@ import time
 from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
-import click
 import moderngl
 import numpy as np
 
 import terrainwave
-from benchmarks import common
+from benchmarks import common, tables
 from benchmarks.rasters import coefficients_of, load_raster
-from benchmarks.render import SMALL_BLOCK, camera_at_key
+from benchmarks.render import camera_at_key
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
-from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.modes.vertex_texture import VertexTexture
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
@@ -65,15 +54,8 @@ VARIANTS = {
     "batched, order 2": {"mode": "batched", "order": 2},
 }
 KEYS = {"slope": (0.10, 0.10, 0.030, 45, -20), "low": (0.30, 0.35, 0.004, 75, -14)}
-# Straight down, at 45 degrees and level; the same fields.
-PITCHES = {
-    "above": (0.5, 0.5, 0.25, 0, -90), "45 degrees": (0.5, 0.3, 0.2, 0, -45),
-    "level": (0.5, 0.02, 0.005, 0, 0),
-}  # fmt: skip
 # Of the flights. Shapes of meshes follow from the ratio of metres per sample to heights.
-# Samples of trees; memory of patches.
-TREES, FRONT_BYTES = (4, 16, 64, 256), 1 << 30
-SIDES, TAUS, SCREEN = (512, 1024, 2048, 4096), (1.0, 2.0, 4.0), Viewport(1280, 720)
+SIDE, TAUS, SCREEN = 512, (1.0, 2.0, 4.0), Viewport(1280, 720)
 PIXEL, MORPH, N_CHECKED = 118.0, 1.25, 400
 
 # One method at one bound, without meshes. Where the goal is "rate", it was the size of predictive.
@@ -89,15 +71,6 @@ ModeRow = namedtuple(
     "raster renderer camera mode tau triangles submitted cpu_ms frame_ms first_bytes frame_bytes "
     "largest_pixels",
 )  # fmt: skip
-# A picture at one τ, with errors by orientation or without.
-OrientationRow = namedtuple(
-    "OrientationRow", "raster mode camera orientation tau blocks triangles"
-)  # fmt: skip
-# Mode dynamic with trees of so many samples a side, from one camera. CPU milliseconds: of a patch
-# in a worker, and of a frame of a turn. `fits` are the patches that have room in `FRONT_BYTES`.
-TreeRow = namedtuple(
-    "TreeRow", "raster camera error meshes tree tau patches build_ms cpu_ms triangles skirts fits"
-)
 # A flight; milliseconds of CPU time of the one thread.
 FlightRow = namedtuple(
     "FlightRow",
@@ -117,18 +90,13 @@ def measure_methods(dem: Path, folder: Path) -> Iterator[MethodRow]:
         cut = {"method": terrainwave.Cdf53(rate=sizes[bound])} if goal == "rate" else {}
         bounded = {"method": method, "max_error": bound}
         terrainwave.compress(dem, file, mesh="none", verify=False, overwrite=True, **cut or bounded)
-        errors = _errors(file, dem)
+        report = terrainwave.verify(file, dem)
+        assert report.ok, report.problems
         with terrainwave.open(file) as terrain:
             bits = round(8 * file.stat().st_size / (terrain.shape[0] * terrain.shape[1]), 4)
         sizes.setdefault(bound, bits)
-        rmse = round(errors.rmse, 4)
-        yield MethodRow(dem.stem, method, goal, bound, bits, rmse, errors.max_error)
-
-
-def _errors(file: Path, dem: Path):
-    report = terrainwave.verify(file, dem)
-    assert report.ok, report.problems
-    return report.errors
+        errors = round(report.errors.rmse, 4), report.errors.max_error
+        yield MethodRow(dem.stem, method, goal, bound, bits, *errors)
 
 
 @contextlib.contextmanager
@@ -229,78 +197,15 @@ def _turn(canvas: Canvas, camera: Camera) -> tuple[float, int, int]:
     return round(float(np.median(times)), 3), int(np.median(n_bytes)), sum(submitted) // N_FRAMES
 
 
-def measure_modes(file: Path, name: str) -> Iterator[ModeRow]:
+def measure_modes(dem: Path, folder: Path) -> Iterator[ModeRow]:
     """Yield all modes from all cameras."""
+    file = folder / "modes.twz"
+    terrainwave.compress(dem, file, max_error=VIEW_ERROR, verify=False, overwrite=True)
     for mode in ("dynamic", "rqt"):
-        measure_mode(file, name, "overview", mode)  # compiles
+        measure_mode(file, dem.stem, "overview", mode)  # compiles
     for camera in ("overview", *KEYS):
         for mode in (*MODES, *VARIANTS):
-            yield measure_mode(file, name, camera, mode)
-
-
-def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
-    """Yield both modes that know orientation from all pitches; none is drawn."""
-    for mode in ("adaptive", "batched"):
-        for is_oriented in (False, True):
-            options = {"mode": mode, "orientation": is_oriented, "samples": 0, "horizon": False}
-            with (
-                terrainwave.open(file) as terrain,
-                Canvas(terrain, SIZE, **options) as canvas,
-            ):
-                scene = canvas.scene
-                for camera, key in PITCHES.items():
-                    view = scene.view(camera_at_key(scene.frame, key), canvas.viewport, TAU)
-                    frames = scene.settle(view)
-                    yield OrientationRow(
-                        name, mode, camera, is_oriented, frames.tau, len(frames.nodes),
-                        frames.n_triangles,
-                    )  # fmt: skip
-
-
-def measure_trees(file: Path, name: str) -> Iterator[TreeRow]:
-    """Yield mode dynamic with all trees from all cameras, by both errors."""
-    for error in ("measured", "paper"):
-        for camera in ("overview", *KEYS):
-            with patches_alone():
-                yield _measure_tree(file, (name, camera, error, "a patch", Dynamic.tree))
-            for tree in TREES:
-                yield _measure_tree(file, (name, camera, error, "a level", tree))
-
-
-@contextlib.contextmanager
-def patches_alone() -> Iterator[None]:
-    """Have each patch of mode dynamic drawn alone meanwhile, over its neighbours, with skirts."""
-
-    def draw(parts, eye):
-        return [part.mesh.draw(eye, part.followed) for part in parts]
-
-    with (
-        mock.patch.object(Dynamic, "arrange", VertexTexture.arrange),
-        mock.patch("terrainwave.render.modes.dynamic.draw_together", draw),
-    ):
-        yield
-
-
-def _measure_tree(file: Path, case: tuple[str, str, str, str, int]) -> TreeRow:
-    _, camera_name, error, _, tree = case
-    options = {"mode": "dynamic", "error": error, "tree": tree, "max_bytes": FRONT_BYTES}
-    with terrainwave.open(file) as terrain, Canvas(terrain, SIZE, samples=0, **options) as canvas:
-        camera, scene = camera_of(camera_name, canvas), canvas.scene
-        canvas.draw(camera, Style(), max_pixel_error=TAU)
-        cpu_ms, _, _ = _turn(canvas, camera)
-        frames = scene.settle(scene.view(camera, canvas.viewport, TAU))
-        front: Any = scene.mode
-        return TreeRow(
-            *case, round(frames.tau, 3), len(frames.nodes),
-            round(float(np.median(scene.build_ms)), 1), cpu_ms, frames.n_triangles,
-            int((areas_of(front.drawn) == 0).sum()), canvas.store.max_blocks,
-        )  # fmt: skip
-
-
-def areas_of(drawn) -> np.ndarray:
-    """Return twice the areas of triangles seen from above: 0 of skirts."""
-    a, b, c = (drawn.vertices[drawn.triangles[:, k]] for k in range(3))
-    return _cross(b - a, c - a)
+            yield measure_mode(file, dem.stem, camera, mode)
 
 
 def camera_at(view: str, number: int, top: float) -> Camera:
@@ -372,31 +277,23 @@ def fly(name: str, view: str, system: str, error: str, heights, tau: float, n: i
 
 
 def measure_flights(dem: Path, n_frames: int) -> Iterator[FlightRow]:
-    """Yield flights over all sides that the raster has."""
-    heights = load_raster(dem).heights.astype(np.float32)
-    for side in SIDES:
-        part = np.ascontiguousarray(heights[:side, :side])
-        if part.shape != (side, side):
-            return
-        runs = [(view, "dynamic", "measured") for view in ("down", "low")]
-        if side == SIDES[0]:
-            runs += [("down", "dynamic", "paper"), ("fast", "dynamic", "measured")]
-            runs += [(view, "dynamic, stepwise", "measured") for view in ("down", "fast")]
-            runs += [("down", "rqt", error) for error in ("measured", "paper", "coefficient")]
-        for tau in TAUS:
-            for run in runs:
-                yield fly(dem.name, *run, part, tau, n_frames)
+    """Yield the flights."""
+    heights = load_raster(dem, SIDE).heights.astype(np.float32)
+    runs = [(view, "dynamic", "measured") for view in ("down", "low", "fast")]
+    runs += [(view, "dynamic, stepwise", "measured") for view in ("down", "fast")]
+    runs += [("down", "rqt", error) for error in ("measured", "paper", "coefficient")]
+    for tau in TAUS:
+        for run in [*runs, ("down", "dynamic", "paper")]:
+            yield fly(dem.name, *run, heights, tau, n_frames)
 
 
 def compare_papers(results: Path) -> Iterator[PaperRow]:
     """Yield the papers' figures beside those of the CSVs, which `PAPERS` names in braces."""
+    names = "zerotrees", "zerotree_views", "systems_methods", "systems_modes", "dynamic"
     grid, views, methods, modes, flights = (
-        common.read_rows(results / f"{name}.csv")
-        for name in (
-            "zerotrees", "zerotree_views", "systems_methods", "systems_modes", "dynamic"
-        )
-    )  # fmt: skip
-    flights = [row for row in flights if row["side"] == SIDES[0]]
+        common.read_rows(results / f"{name}.csv") for name in names
+    )
+    flights = [row for row in flights if row["side"] == SIDE]
     ours = {
         mode: _range(1e3 / row["frame_ms"] for row in modes if row["mode"] == mode)
         for mode in ("adaptive", "batched")
@@ -423,22 +320,10 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
     for row in methods:
         if (row["method"], row["goal"], row["max_error"]) == (EMBEDDED, "max_error", 0):
             ours[EMBEDDED] = 16 / row["bits_per_sample"]
-    ours |= compare_pyramids(common.read_rows(results / "zerotree_pyramids.csv"))
+    made = tables.rows_of(tables.TABLES["zerotree_pyramids"], results)
+    ours |= {case: _range((row[case] for row in made), 2) for case in ("growing", "neville")}
     for row in common.read_rows(PAPERS):
         yield PaperRow(**row | {"ours": row["ours"].format_map(ours)})
-
-
-def compare_pyramids(rows: list[dict]) -> dict[str, str]:
-    """Return the sizes of pyramids made in other ways, over those made in the paper's."""
-    ratios: dict[str, list[float]] = {"growing": [], "neville": []}
-    for row in rows:
-        if row["growth"] == 1 and row["filter"] == "9/7":
-            paper = row["heights_bits"]
-        else:
-            ratios["growing" if row["growth"] > 1 else "neville"].append(
-                row["heights_bits"] / paper
-            )
-    return {name: _range(found, 2) for name, found in ratios.items()}
 
 
 def _range(values, n_digits: int = 1) -> str:
@@ -446,35 +331,24 @@ def _range(values, n_digits: int = 1) -> str:
     return f"{ordered[0]:.{n_digits}f}–{ordered[-1]:.{n_digits}f}"
 
 
-PARTS = ("methods", "modes", "papers", "orientation", "dynamic", "trees")
+PARTS = ("methods", "modes", "papers", "dynamic")
 
 
 @common.command()
 @common.dem_argument
-@common.option("--only", cls=common.ListOption, type=click.Choice(PARTS), default=PARTS[:3])
+@common.choices_option("--only", of=PARTS, default=PARTS[:3])
 @common.option("--frames", type=common.COUNT, default=60, help="Of each flight.")
 def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    for part, block in (("modes", 256), ("orientation", SMALL_BLOCK), ("trees", 256)):
-        if part in only:
-            options = {"max_error": VIEW_ERROR, "block": block}
-            terrainwave.compress(
-                dem, folder / f"{part}.twz", verify=False, overwrite=True, **options
-            )
     measures = {
         "methods": ("systems_methods", lambda: measure_methods(dem, folder)),
-        "modes": ("systems_modes", lambda: measure_modes(folder / "modes.twz", dem.stem)),
+        "modes": ("systems_modes", lambda: measure_modes(dem, folder)),
         "papers": ("systems_papers", lambda: compare_papers(out)),
-        "orientation": (
-            "orientation",
-            lambda: measure_orientation(folder / "orientation.twz", dem.stem),
-        ),
         "dynamic": ("dynamic", lambda: measure_flights(dem, frames)),
-        "trees": ("systems_trees", lambda: measure_trees(folder / "trees.twz", dem.stem)),
     }
     for part in only:
         name, measure = measures[part]
-        common.write_rows(out / f"{name}.csv", measure(), append=part == "orientation")
+        common.write_rows(out / f"{name}.csv", measure())
 
 
 if __name__ == "__main__":

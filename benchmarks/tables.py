@@ -1,8 +1,9 @@
-"""Write the measured tables into documents: ``python -m benchmarks.tables``.
+"""Write the measured tables and numbers into documents: ``python -m benchmarks.tables``.
 
-Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document and is made
-from a CSV under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing
-and exits 1 if a document does not say what its CSV says.
+Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document, and the
+numbers of a sentence between ``<!-- number: NAME -->`` and the same end. They are made from CSVs
+under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing and exits 1
+if a document does not say what its CSV says.
 """
 
 import itertools
@@ -21,7 +22,7 @@ from benchmarks.common import RESULTS, ROOT, geometric_mean, read_rows
 DOCUMENTS = [
     path.relative_to(ROOT).as_posix()
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if "<!-- table: " in path.read_text(encoding="utf-8")
+    if re.search("<!-- (table|number): ", path.read_text(encoding="utf-8"))
 ]
 RAPID = "terrainwave-rapid"
 PREDICTIVE = "terrainwave-predictive"
@@ -35,6 +36,7 @@ COGS = ("cog", "cog-float32", "cog-zstd")
 LARGE = 4_000_000  # samples from which speeds are in the row of large rasters
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
+NUMBERS = TABLES.pop("numbers")
 
 Row = dict[str, Any]
 Rows = list[Row]
@@ -49,6 +51,9 @@ class Missing:
     def __eq__(self, other: object) -> bool:
         return other == ""
 
+    def __getitem__(self, field: str) -> "Missing":
+        return self
+
 
 def is_measured(value: Any) -> bool:
     """Return whether a row of a CSV has the value."""
@@ -58,14 +63,7 @@ def is_measured(value: Any) -> bool:
 def markdown(name: str, results: Path) -> str:
     """Return a table of ``tables.toml`` as Markdown."""
     table = TABLES[name]
-    make_rows = globals().get(table["rows"])
-    rows = make_rows(results) if make_rows else read(results, table["rows"])
-    for field, value in table.get("where", {}).items():
-        rows = [row for row in rows if row[field] == value]
-    if "pivot" in table:
-        rows = pivot(rows, *table["pivot"])
-    for field, formula in table.get("derived", {}).items():
-        rows = [row | {field: calculate(formula, row)} for row in rows]
+    rows = rows_of(table, results)
     columns = table["columns"].replace("\n|", " |").split(" | ")
     headings, cells = zip(*(column.split(" = ") for column in columns))
     lines = [list(headings), *([cell.format_map(row) for cell in cells] for row in rows)]
@@ -80,6 +78,56 @@ def markdown(name: str, results: Path) -> str:
         notes[field] = ", ".join(v if isinstance(v, str) else f"{v:g}" for v in values)
     texts += ["", table["note"].format_map(notes)] if notes else []
     return "\n".join(texts)
+
+
+def numbers(name: str, results: Path) -> str:
+    """Return the numbers of a sentence, those of a table's rows that ``tables.toml`` names."""
+    asked = NUMBERS[name]
+    table = TABLES[asked["table"]] | ({"group": []} if "of" in asked else {}) | asked
+    (row,) = rows_of(table, results)
+    text: str = table["text"].format_map(row)
+    return text
+
+
+def rows_of(table: dict[str, Any], results: Path) -> Rows:
+    """Return the rows of a table, as its fields say, from "rows" to "total"."""
+    make_rows = globals().get(table["rows"])
+    rows: Rows = make_rows(results) if make_rows else read(results, table["rows"])
+    for field, value in table.get("where", {}).items():
+        rows = [row for row in rows if row[field] == value]
+    for field, value in table.get("unless", {}).items():
+        rows = [row for row in rows if row[field] != value]
+    if "pivot" in table:
+        rows = pivot(rows, *table["pivot"])
+    for field, formula in table.get("derived", {}).items():
+        rows = [row | {field: calculate(formula, row)} for row in rows]
+    rows = sorted(rows, key=lambda row: [row[field] for field in table.get("sort", ())])
+    if "group" in table:
+        rows = grouped(rows, table["group"], table["of"])
+    if "total" in table:
+        rows = rows + [row | table["total"] for row in grouped(rows, [], table["of"])]
+    return rows
+
+
+# What tables make of the values of a field.
+GROUPED: dict[str, Callable[[list], Any]] = {
+    "mean": geometric_mean, "least": min, "most": max, "sum": sum, "count": len,
+    "distinct": lambda values: len({*values}),
+    "positive": lambda values: sum(value > 0 for value in values),
+}  # fmt: skip
+
+
+def grouped(rows: Rows, by: list[str], of: dict[str, str]) -> Rows:
+    """Return a row for each value of the fields `by`, with what `of` says: "sum seconds"."""
+    found: dict[tuple, Rows] = defaultdict(list)
+    for row in rows:
+        found[tuple(row[field] for field in by)].append(row)
+    asked = {name: what.split(" ") for name, what in of.items()}
+    return [
+        dict(zip(by, case, strict=True))
+        | {name: GROUPED[how]([row[field] for row in own]) for name, (how, field) in asked.items()}
+        for case, own in found.items()
+    ]
 
 
 class _Means(dict[str, float]):
@@ -106,7 +154,7 @@ def read(results: Path, name: str, **derived: Callable[[Row], Any]) -> Rows:
 
 def calculate(formula: str, row: Row) -> float | Missing:
     """Return one field or number over or less another: ``regular / triangles``."""
-    left, sign, right = formula.split(" ")
+    left, sign, right = re.split(" ([/-]) ", formula)
     texts = [name if name[0].isdigit() else f"{{{name}}}".format_map(row) for name in (left, right)]
     try:
         one, two = map(float, texts)
@@ -118,72 +166,23 @@ def calculate(formula: str, row: Row) -> float | Missing:
 def pivot(rows: Rows, by: tuple[str, ...], over: str) -> Rows:
     """Return a row for each value of the fields `by`, all lines of it by the value of `over`.
 
-    They stand under the names "over=value".
+    They stand under the names "over=value"; where a case has none, it is missing. `over` may be
+    several fields, with spaces between them and between their values.
     """
     found: dict[tuple, Row] = {}
-    for row in rows:
+    values = [" ".join(str(row[name]) for name in over.split(" ")) for row in rows]
+    for row, value in zip(rows, values, strict=True):
         case = found.setdefault(tuple(row[name] for name in by), {name: row[name] for name in by})
-        case[f"{over}={row[over]}"] = row
-    return list(found.values())
-
-
-def fuzzed_targets(results: Path) -> Rows:
-    """Return the runs of the fuzzer by target, and what they come to in all."""
-    rows = read(results, "fuzz")
-    if not rows:
-        return []
-    total = {field: sum(row[field] for row in rows) for field in ("executions", "seconds", "finds")}
-    total |= {field: max(row[field] for row in rows) for field in ("memory_mb", "slowest_ms")}
-    return [*rows, {"target": "all", "mode": ""} | total]
-
-
-def strict_costs(results: Path) -> Rows:
-    """Return what strict files cost by how many steps of the grid the bound has."""
-    found: dict[float, Rows] = defaultdict(list)
-    for row in read(results, "strict"):
-        found[row["steps"]].append(row | {"ratio": row["strict_bytes"] / row["n_bytes"]})
-    return [
-        {"steps": steps, "n": len(rows), "holds": sum(row["holds"] for row in rows)}
-        | {name: of([row["ratio"] for row in rows])
-           for name, of in (("mean", geometric_mean), ("least", min), ("most", max))}
-        | {field: max(row[field] for row in rows) for field in ("excess", "largest")}
-        for steps, rows in sorted(found.items())
-    ]  # fmt: skip
+        case[f"{over}={value}"] = row
+    none = {f"{over}={value}": Missing() for value in values}
+    return [case | none | case for case in found.values()]  # in the order of the case
 
 
 def javascript_side(results: Path) -> Rows:
-    """Return reads in JavaScript by engine, what is read and by whom: means and the worst case."""
-    found: dict[tuple, Rows] = defaultdict(list)
-    for row in read(results, "javascript_side"):
-        by = f"{row['workers']} workers" if row["workers"] else "one thread"
-        found[row["engine"], row["what"], by].append(row)
-    fields = ("terrainwave_ms", "lerc_zstd_ms", "lerc_ms", "time_over_lerc_zstd", "time_over_lerc")
-    lines: Rows = []
-    for (engine, what, by), rows in found.items():
-        line: Row = {"engine": engine, "what": what, "by": by, "cases": len(rows)}
-        for field in fields:
-            values = [row[field] for row in rows]
-            line |= {field: geometric_mean(values), f"{field} most": max(values)}
-        lines.append(line)
-    return lines
-
-
-def scaled_commands(results: Path) -> Rows:
-    """Return whole commands by raster size: one row for each stage and what was measured of it."""
-    found: dict[str, dict[int, Row]] = defaultdict(dict)
-    for row in read(results, "scale_commands"):
-        found[row["stage"]][row["size"]] = row
-    sizes = (4096, 8192, 16384, 32768, 65536)
-    lines: Rows = []
-    for stage, of_size in found.items():
-        line: Row = {"stage": stage}
-        for size, name in itertools.product(sizes, ("net_per_million", "seconds", "peak_mib")):
-            line[f"{name}_{size}"] = of_size[size][name] if size in of_size else Missing()
-        # Against the first size at which starting is a small part of it.
-        small, large = (line[f"net_per_million_{size}"] for size in (16384, 65536))
-        is_known = is_measured(small) and is_measured(large)
-        lines.append(line | {"flatness": large / small if is_known else Missing()})
-    return lines
+    """Return reads in JavaScript, with who reads in words."""
+    words = {0: "one thread"}
+    by = lambda row: words.get(row["workers"], f"{row['workers']} workers")  # noqa: E731
+    return read(results, "javascript_side", by=by)
 
 
 def paper(results: Path) -> Rows:
@@ -202,18 +201,22 @@ def same_bytes(results: Path) -> Rows:
     return read(results, "same_bytes", cpu=lambda row: row["cpu"].split(" ")[0])
 
 
-def compared_codecs(results: Path) -> Rows:
-    """Return bits per sample of our codecs and the best peer by raster and bound.
+def size_rows(results: Path, *names: str) -> Rows:
+    """Return rows of CSVs of sizes, without those of cases that went wrong.
 
     Bounds below 1 are for floats only: on whole metres they are lossless once more.
     """
-    found: dict[tuple[str, float], Row] = {}
-    for name in ("rapid", "predictive", "cdf97", "peers"):
-        for row in read(results, name):
-            raster, bound = row["raster"], row["max_error"]
-            is_twice = row["dtype"].startswith("int") and 0 < bound < 1
-            if not (is_twice or is_measured(row["problem"])):
-                found.setdefault((raster, bound), {})[row["codec"]] = row["bits_per_sample"]
+    rows = [row for name in names for row in read(results, name) if not is_measured(row["problem"])]
+    return [
+        row for row in rows if not (row["dtype"].startswith("int") and 0 < row["max_error"] < 1)
+    ]
+
+
+def compared_codecs(results: Path) -> Rows:
+    """Return bits per sample of our codecs and the best peer by raster and bound."""
+    found: dict[tuple[str, float], Row] = defaultdict(dict)
+    for row in size_rows(results, "rapid", "predictive", "cdf97", "peers"):
+        found[row["raster"], row["max_error"]][row["codec"]] = row["bits_per_sample"]
     cases = []
     for (raster, bound), peers in sorted(found.items()):
         ours = {name: peers.pop(name, Missing()) for name in OUR_CODECS}
@@ -271,7 +274,7 @@ def speed_cases(results: Path) -> Rows:
     found: Rows = []
     turns = pivot(read(results, "speeds"), ("raster", "max_error", "is_slow"), "codec")
     for turn in turns:
-        lines = [row for name, row in turn.items() if name.startswith("codec=")]
+        lines = [row for name, row in turn.items() if "=" in name and is_measured(row)]
         (cog,) = (row for row in lines if row["codec"] == "cog")
         for row in lines:
             if row is cog and row["is_slow"] == "True":
@@ -310,15 +313,9 @@ def compared_speeds(results: Path) -> Rows:
 
 def default_reads(results: Path) -> Rows:
     """Return how fast files of the default are read, by raster and bound, beside the COG."""
-    rows = speed_cases(results)
-    cogs = {
-        (row["raster"], row["max_error"]): row["decode_speed"]
-        for row in rows
-        if row["codec"] == "cog"
-    }
     return [
-        row | {"cog_speed": cogs[row["raster"], row["max_error"]], "ratio": row["decode / COG"]}
-        for row in rows
+        row | {"cog_speed": row["decode_speed"] / row["decode / COG"], "ratio": row["decode / COG"]}
+        for row in speed_cases(results)
         if row["codec"] == f"{RAPID}+"
     ]
 
@@ -347,15 +344,6 @@ def archives(results: Path) -> Rows:
     return found if cases else []
 
 
-def archive_sentence(results: Path) -> str:
-    """Return what choosing.md and the help of `compress` say of ``--effort best``."""
-    (best,) = (row for row in archives(results) if "best" in row["codec"])
-    return (
-        f"{best['mean']:.2f} of the default's size ({best['least']:.2f} to {best['most']:.2f}),"
-        f" and are read {best['decode']:.0f} times as slowly"
-    )
-
-
 # What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
 SIDE_BY_SIDE = {
     "terrainwave": (RAPID, f"{RAPID}+"),
@@ -376,10 +364,8 @@ def side_by_side(results: Path) -> Rows:
     Sizes of all rasters; speeds of those of 4 Mpx and more.
     """
     sizes: dict[str, dict[tuple, float]] = defaultdict(dict)
-    for row in (row for name in ("rapid", "predictive", "peers") for row in read(results, name)):
-        is_twice = row["dtype"].startswith("int") and 0 < row["max_error"] < 1
-        if not (is_twice or is_measured(row["problem"])):
-            sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
+    for row in size_rows(results, "rapid", "predictive", "peers"):
+        sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
     speeds = {row["codec"]: row for row in compared_speeds(results) if row["is_large"]}
     if not (sizes and speeds):
         return []
@@ -404,24 +390,6 @@ def side_by_side(results: Path) -> Rows:
     return found
 
 
-def conformance(results: Path) -> Rows:
-    """Return what readers make of the conformance set, but for parts that they were not asked."""
-    return [row for row in read(results, "conformance") if row["files"]]
-
-
-def left_out(results: Path) -> Rows:
-    """Return sizes with tables that never saw the raster over others: means over its bounds."""
-    found: dict[str, dict[str, list[float]]] = {}
-    for row in sorted(read(results, "leave_one_out"), key=lambda row: row["raster"]):
-        ratios = found.setdefault(row["raster"], {"all": [], "in_use": [], "untrained": []})
-        for other, values in ratios.items():
-            values.append(row["left_out_bytes"] / row[f"{other}_bytes"])
-    return [
-        {"raster": raster} | {other: geometric_mean(values) for other, values in ratios.items()}
-        for raster, ratios in found.items()
-    ]
-
-
 def viewed_frames(results: Path) -> Rows:
     """Return frames of the viewer; what was not timed, or not drawn, is missing."""
     rows = read(results, "render")
@@ -440,69 +408,22 @@ def methods_at_bounds(results: Path) -> Rows:
     return read(results, "systems_methods", goal=lambda row: words[row["goal"]].format_map(row))
 
 
-def pyramids(results: Path) -> Rows:
-    """Return files whose pyramids are made in other ways, with what is other in one field."""
-
-    def case(row: Row) -> str:
-        return "growing" if row["growth"] > 1 else "one" if row["filter"] == "9/7" else "neville"
-
-    return read(results, "zerotree_pyramids", case=case)
-
-
-def zhang_choices(results: Path) -> Rows:
-    """Return what two pyramids draw, with what blocks are chosen by in one field."""
-
-    def case(row: Row) -> str:
-        return row["errors"] if row["errors"] == "bound" else row["pyramid"]
-
-    return read(results, "zhang_triangles", case=case)
-
-
-def outlines_by_mode(results: Path) -> Rows:
-    """Return what pictures of all rasters lack, by mode and errors."""
-    found: dict[tuple, Rows] = defaultdict(list)
-    for row in read(results, "outlines"):
-        found[row["mode"], row["error"]].append(row)
-    return [
-        {"mode": mode, "error": error, "pictures": len(rows)}
-        | {"rasters": len({row["raster"] for row in rows})}
-        | {"bad": sum(row["inside"] > 0 for row in rows)}
-        | {name: sum(row[name] for row in rows) for name in ("ground", "inside", "outside")}
-        for (mode, error), rows in found.items()
-    ]
-
-
-def cut_streams(results: Path) -> Rows:
-    """Return files that were cut to so many bits per sample."""
-    return [row for row in read(results, "embedded") if is_measured(row["rate"])]
-
-
-def flights(results: Path) -> Rows:
-    """Return flights by error and threshold."""
-    return sorted(read(results, "dynamic"), key=lambda row: (row["view"], row["error"]))
-
-
 def remote_windows(results: Path) -> Rows:
     """Return what windows over http cost."""
     return read(results, "remote", level=lambda row: str(row["level"]).replace("-", "−"))
 
 
-def network_faults(results: Path) -> Rows:
-    """Return what came of all sessions with a faulty server."""
-    rows = read(results, "faults_network")
-    fields = ("sessions", "right", "refused", "wrong", "others", "hangs", "then_wrong")
-    return [{field: sum(row[field] for row in rows) for field in fields}] if rows else []
-
-
 REPORTED = ("summary", "methods", "archives", "speeds", "default_reads", "cases")  # in bench.md
-_SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
+_SLOT = re.compile(r"<!-- (table|number): (\w+) -->.*?<!-- end -->", re.DOTALL)
 
 
 def fill_in(text: str) -> str:
-    """Return a document with every table made anew."""
+    """Return a document with all tables and numbers made anew."""
 
     def make(slot: re.Match[str]) -> str:
-        return f"<!-- table: {slot[1]} -->\n{markdown(slot[1], RESULTS)}\n<!-- end -->"
+        kind, name = slot.groups()
+        made = numbers(name, RESULTS) if kind == "number" else f"\n{markdown(name, RESULTS)}\n"
+        return f"<!-- {kind}: {name} -->{made}<!-- end -->"
 
     return _SLOT.sub(make, text)
 
@@ -515,7 +436,7 @@ def write_all(results: Path) -> list[str]:
 
 
 def write_documents(*, only_check: bool = False) -> list[str]:
-    """Fill in the tables of all documents; return the names of those that change."""
+    """Fill in all documents; return the names of those that change."""
     changed = []
     for name in DOCUMENTS:
         path = ROOT / name
@@ -529,11 +450,13 @@ def write_documents(*, only_check: bool = False) -> list[str]:
 
 
 @click.command(help=__doc__)
-@click.option("--check", is_flag=True, help="Change nothing; exit 1 if a table is old.")
+@click.option("--check", is_flag=True, help="Change nothing; exit 1 if one is old.")
 def main(check: bool) -> None:
-    """Fill in or check the tables."""
+    """Fill in or check tables and numbers."""
     for name in (changed := write_documents(only_check=check)):
-        click.echo(f"{name}: {'a table is not what its CSV says' if check else 'written'}")
+        click.echo(
+            f"{name}: {'a table or number is not what its CSV says' if check else 'written'}"
+        )
     raise SystemExit(check and bool(changed))
 
 

@@ -11,14 +11,11 @@ them in passes A and B) as
 * ``mosaic``: terrainwave's own, of 10,000 paths.
 
 All files must have the same bytes. `open_files` is the most that were open at a time (Linux).
-
-Exit status: 0 good; 1 files differ or a command failed; 2 wrong usage.
 """
 
 import hashlib
 import os
 import random
-import subprocess
 import sys
 import threading
 import time
@@ -26,19 +23,11 @@ from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
-
 from benchmarks import common
 
 SIDE = 128
 LIMIT = 64
 
-# Imports rasterio, so it runs in another process.
-_MAKE = """
-import sys
-from benchmarks import vrt
-vrt.make(*sys.argv[1:])
-"""
 # The list of a mosaic is longer than a command line may be elsewhere.
 _COMPRESS = """
 import sys
@@ -65,14 +54,14 @@ RUNS: dict[str, tuple[str, dict[str, str], int | None]] = {
 Row = namedtuple("Row", "source n_files size seconds cpu_seconds peak_mib open_files n_bytes")
 
 
-def make(dem: str, folder: str, n_tiles: str) -> None:
-    """Make the raster in all its forms."""
+def make(dem: str, folder: str, n: int) -> None:
+    """Make the raster in all its forms; imports rasterio, so another process does it."""
     import rasterio
     from rasterio.windows import Window
 
-    from benchmarks.rasters import make_mirrored
+    from benchmarks.rasters import make_mirrored, vrt_source
 
-    place, n = Path(folder), int(n_tiles)
+    place = Path(folder)
     for name, layout in (("one.tif", "tiled"), ("striped.tif", "striped")):
         make_mirrored(Path(dem), place / name, n * SIDE, layout)
     (place / "tiles").mkdir(exist_ok=True)
@@ -89,31 +78,27 @@ def make(dem: str, folder: str, n_tiles: str) -> None:
                 profile["transform"] = whole.window_transform(window)
                 with rasterio.open(paths[-1], "w", **profile) as tile:
                     tile.write(band[:, col * SIDE : (col + 1) * SIDE], 1)
-        transform, nodata = whole.transform, whole.nodata
+        transform, nodata, crs = whole.transform, whole.nodata, whole.crs
+        area = whole.tags().get("AREA_OR_POINT", "")
     (place / "tiles.txt").write_text("\n".join(map(str, paths)), encoding="utf-8")
-    sources = [_source(path, *divmod(k, n)) for k, path in enumerate(paths)]
+    part = 0, 0, SIDE, SIDE
+    sources = [
+        vrt_source(f"tiles/{path.name}", part, k // n * SIDE, k % n * SIDE, nodata)
+        for k, path in enumerate(paths)
+    ]
     for name in ("tiles.vrt", "shuffled.vrt"):
         lines = [
             f'<VRTDataset rasterXSize="{n * SIDE}" rasterYSize="{n * SIDE}">',
+            f"<SRS>{crs.to_wkt()}</SRS>" if crs else "",
             f"<GeoTransform>{','.join(map(repr, transform.to_gdal()))}</GeoTransform>",
-            f'<VRTRasterBand dataType="Int16" band="1"><NoDataValue>{nodata}</NoDataValue>',
+            f'<Metadata><MDI key="AREA_OR_POINT">{area}</MDI></Metadata>' if area else "",
+            '<VRTRasterBand dataType="Int16" band="1">',
+            "" if nodata is None else f"<NoDataValue>{nodata}</NoDataValue>",
             *sources,
             "</VRTRasterBand></VRTDataset>",
         ]
         (place / name).write_text("\n".join(lines), encoding="utf-8")
         random.Random(1).shuffle(sources)
-
-
-def _source(path: Path, row: int, col: int) -> str:
-    """Return a tile's element of the VRT, of the kind that gdalbuildvrt writes."""
-    rectangle = f'xSize="{SIDE}" ySize="{SIDE}"'
-    return (
-        f'<SimpleSource><SourceFilename relativeToVRT="1">tiles/{path.name}</SourceFilename>'
-        f'<SourceBand>1</SourceBand><SourceProperties RasterXSize="{SIDE}" RasterYSize="{SIDE}" '
-        f'DataType="Int16" BlockXSize="{SIDE}" BlockYSize="{SIDE}" />'
-        f'<SrcRect xOff="0" yOff="0" {rectangle} />'
-        f'<DstRect xOff="{col * SIDE}" yOff="{row * SIDE}" {rectangle} /></SimpleSource>'
-    )
 
 
 class OpenFiles:
@@ -163,13 +148,10 @@ def measured(folder: Path, n_tiles: int, runs: tuple[str, ...]) -> Iterator[Row]
 @common.command("scale_vrt.csv")
 @common.dem_argument
 @common.option("--tiles", type=common.COUNT, default=100, help="On a side.")
-@common.option("--runs", cls=common.ListOption, type=click.Choice(list(RUNS)), default=list(RUNS))
+@common.choices_option("--runs", of=RUNS)
 def main(dem: Path, tiles: int, runs: tuple[str, ...], folder: Path, out: Path) -> None:
     """Run the measurement."""
-    if not hasattr(os, "wait4"):
-        raise click.UsageError("needs os.wait4: Linux or macOS")
-    maker = [sys.executable, "-c", _MAKE, str(dem), str(folder), str(tiles)]
-    subprocess.run(maker, check=True)
+    common.call_elsewhere("benchmarks.vrt.make", dem.absolute(), folder.absolute(), tiles)
     common.write_rows(out, measured(folder, tiles, runs))
 
 

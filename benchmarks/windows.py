@@ -6,12 +6,10 @@ window. The COG (LERC_ZSTD, blocks of 512, overviews) is made by GDAL of the sam
 own type, and read by ``rasterio.open(...).read(1, window=...)``. "aligned" windows begin at
 multiples of their size, where blocks of either file do; "any" ones begin anywhere. Rasters that
 are smaller than a window in either direction are left out.
-
-Exit status: 0 good; 1 a file of ours broke its bound; 2 wrong usage.
 """
 
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -23,7 +21,7 @@ from rasterio.windows import Window
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import largest_error, load_raster, write_cog
+from benchmarks.rasters import largest_error, load_raster, write_pair
 
 # Milliseconds of processor time, from opening to closing; bytes and error are of the whole file.
 Row = namedtuple(
@@ -40,10 +38,10 @@ def corners(shape: tuple[int, int], side: int, place: str, n: int) -> list[tuple
     return list(zip(rows.tolist(), cols.tolist(), strict=True))
 
 
-def read_terrain(path: Path, window: Window | None = None) -> np.ndarray:
+def read_terrain(path: Path, window: Window | None = None, **options) -> np.ndarray:
     """Open a file of ours, read a window or all of it, close it."""
     rows_cols = window and (window.row_off, window.col_off, window.height, window.width)
-    with terrainwave.open(path, threads=1) as terrain:
+    with terrainwave.open(path, threads=1, **options) as terrain:
         return terrain.read(rows_cols)
 
 
@@ -56,6 +54,16 @@ def read_cog(path: Path, window: Window | None = None) -> np.ndarray:
 READERS = {"terrainwave": read_terrain, "cog": read_cog}
 
 
+def times_of(readers: dict, files: dict, windows: Sequence) -> dict[str, list[float]]:
+    """Return the milliseconds of each reader for each window, in turns, sorted."""
+    took: dict[str, list[float]] = {name: [] for name in readers}
+    for window in [windows[0], *windows]:  # the first one twice: it warms up
+        tasks = [partial(read, files[name], window) for name, read in readers.items()]
+        for name, timed in zip(readers, common.take_turns(lambda t=tasks: t, 1)):
+            took[name].append(1000 * timed.seconds)
+    return {name: sorted(found[1:]) for name, found in took.items()}
+
+
 def measure(paths, bounds, side: int, n_windows: int, folder: Path) -> Iterator[Row]:
     """Yield the rows of each raster, bound, kind of place and reader."""
     for path in paths:
@@ -63,11 +71,7 @@ def measure(paths, bounds, side: int, n_windows: int, folder: Path) -> Iterator[
         if min(raster.heights.shape) < side:
             continue
         for bound in bounds:
-            files = {"terrainwave": folder / "windows.twz", "cog": folder / "windows.tif"}
-            terrainwave.compress(
-                path, files["terrainwave"], max_error=bound, mesh="none", overwrite=True
-            )
-            write_cog(path, files["cog"], bound)
+            files = write_pair(path, folder / "windows", bound)
             errors = {
                 name: largest_error(raster.heights, read(files[name]), raster.mask)
                 for name, read in READERS.items()
@@ -79,13 +83,7 @@ def measure(paths, bounds, side: int, n_windows: int, folder: Path) -> Iterator[
                     Window(col, row, side, side)
                     for row, col in corners(raster.heights.shape, side, place, n_windows)
                 ]
-                took = {name: [] for name in READERS}
-                for window in [windows[0], *windows]:  # the first one twice: it warms up
-                    tasks = [partial(read, files[name], window) for name, read in READERS.items()]
-                    for name, timed in zip(READERS, common.take_turns(lambda t=tasks: t, 1)):
-                        took[name].append(1000 * timed.seconds)
-                for name, found in took.items():
-                    found = sorted(found[1:])
+                for name, found in times_of(READERS, files, windows).items():
                     numbers = (median(found), found[9 * len(found) // 10], found[-1])
                     yield Row(
                         path.stem, bound, place, side, n_windows, name,

@@ -8,11 +8,6 @@ neither.
 ``--only triangles``: what both draw at the same τ: mode batched's choice of blocks with the largest
 errors measured in each block, and with the bounds that the viewer has instead. Means over nine
 cameras. Their blocks lie where their samples do: half a cell beside ours.
-
-``--only motion``: where a camera will be: equation (15), P₂ = 2 P₁ − P₀, which looks one frame
-ahead; the same line by seconds, with the speed of equation (14); and what the viewer does. Over the
-flights of `benchmarks.flight`, on the first raster, mirrored to --side samples; at 60 frames per
-second, and with frames that take one to four times as long, at random.
 """
 
 import math
@@ -25,14 +20,11 @@ import numpy as np
 
 import terrainwave
 from benchmarks import common
-from benchmarks.flight import HERTZ, Ground, flights_of
-from benchmarks.rasters import mirrored_file
 from benchmarks.render import KEYS, camera_at_key
 from terrainwave.grid.quadtree import Block
 from terrainwave.render.modes.batched import Batched, n_grid_triangles
 from terrainwave.render.modes.mode import ModeNeeds
-from terrainwave.render.paging.motion import AHEAD, Motion
-from terrainwave.render.scene.camera import Camera, Viewport, home
+from terrainwave.render.scene.camera import Viewport, home
 from terrainwave.render.scene.frame import frame_of
 from terrainwave.render.scene.selection import NodeTable, View
 
@@ -40,20 +32,10 @@ BLOCK, ORDERS, TAUS = 64, (4, 2), (1.0, 2.0, 4.0)
 VIEWPORT = Viewport(1280, 720)
 # The inner four of the 4 x 4 samples and the eight beside them (their fig. 2); corners are 0.
 WEIGHTS = {2: (1 / 4, 0.0), 4: (10 / 32, -1 / 32)}
-FLIGHT_S, SETTLED_S, EVERY = 20.0, 1.0, 7
-# Blocks that are needed at a time: more than any view here has.
-MOST_BLOCKS = 1 << 14
-
 # `above`: levels above the finest. Metres.
 LevelRow = namedtuple("LevelRow", "raster block above samples pyramid order largest rms")
 # `errors`: what blocks are chosen by, "measured" or the viewer's "bound".
 TriangleRow = namedtuple("TriangleRow", "raster block tau pyramid order errors blocks triangles")
-# `places`: predictions; `needed` blocks, in all, that the later view needs beyond those of the
-# view at hand, `found` the share of them that the prediction's view asks for.
-MotionRow = namedtuple(
-    "MotionRow",
-    "raster flight frames way ahead places median_m p95_m median_degrees p95_degrees needed found",
-)
 
 
 def paper_level(fine: np.ndarray, order: int) -> np.ndarray:
@@ -164,26 +146,6 @@ class Levels:
                     errors[block] = float(apart[rows, cols].max(initial=0.0))
         return errors
 
-    def bounds(self, order: int) -> dict[Block, float]:
-        """Return the bounds that mode batched has of its blocks, metres."""
-        grid = self.terrain.grid
-        blocks = (block for level in range(grid.k_max + 1) for block in grid.blocks(level))
-        return {block: self.modes[order].grid(block).error for block in blocks}
-
-
-def lossless(dem: Path, folder: Path) -> terrainwave.Terrain:
-    """Return an open file that has a raster's heights as they are."""
-    path = folder / f"{dem.stem}-lossless.twz"
-    if not path.exists():
-        terrainwave.compress(dem, path, max_error=0, block=BLOCK, mesh="none", verify=False)
-    return terrainwave.open(path)
-
-
-def measure_levels(dem: Path, folder: Path) -> Iterator[LevelRow]:
-    """Yield the errors of all levels whose sides are 16 samples or more."""
-    with lossless(dem, folder) as terrain:
-        yield from level_rows(dem.stem, Levels(terrain))
-
 
 def level_rows(raster: str, levels: Levels) -> Iterator[LevelRow]:
     """Yield the errors of a terrain's levels."""
@@ -204,12 +166,12 @@ def level_rows(raster: str, levels: Levels) -> Iterator[LevelRow]:
                 )  # fmt: skip
 
 
-def table_of(mode: Batched, errors: dict[Block, float] | None = None) -> NodeTable:
-    """Return all blocks, as if they were here, with these errors or those of the index."""
+def table_of(mode: Batched, errors: dict[Block, float]) -> NodeTable:
+    """Return all blocks, as if they were here, with these errors."""
     table = NodeTable()
 
     def infos(found):
-        return [i if errors is None else i._replace(error=errors[i.piece.block]) for i in found]
+        return [info._replace(error=errors[info.piece.block]) for info in found]
 
     for info in infos(mode.roots()):
         table.add(info)
@@ -222,34 +184,26 @@ def table_of(mode: Batched, errors: dict[Block, float] | None = None) -> NodeTab
     return table
 
 
-def view_of(mode: Batched, camera: Camera, tau: float) -> View:
-    """Return a view with the errors of mode batched."""
-    return View(camera, VIEWPORT, tau, mode.gamma, is_exact=mode.is_exact)
-
-
-def measure_triangles(dem: Path, folder: Path) -> Iterator[TriangleRow]:
-    """Yield what both pyramids draw from nine cameras."""
-    with lossless(dem, folder) as terrain:
-        yield from triangle_rows(dem.stem, Levels(terrain))
-
-
 def triangle_rows(raster: str, levels: Levels) -> Iterator[TriangleRow]:
     """Yield what is drawn of a terrain."""
     cameras = [home(levels.frame.box, VIEWPORT)]
     cameras += [camera_at_key(levels.frame, key) for key in KEYS]
+    grid = levels.terrain.grid
+    blocks = [block for level in range(grid.k_max + 1) for block in grid.blocks(level)]
     for order in ORDERS:
         mode = levels.modes[order]
         for pyramid, errors, found in (
             ("paper", "measured", levels.block_errors("paper", order)),
             ("ours", "measured", levels.block_errors("ours", order)),
-            ("ours", "bound", levels.bounds(order)),
+            ("ours", "bound", {block: mode.grid(block).error for block in blocks}),
         ):
             table = table_of(mode, found)
             for tau in TAUS:
-                drawn = [
-                    table.select(view_of(mode, camera, tau), mode.split_error(tau))
+                views = [
+                    View(camera, VIEWPORT, tau, mode.gamma, is_exact=mode.is_exact)
                     for camera in cameras
                 ]
+                drawn = [table.select(view, mode.split_error(tau)) for view in views]
                 yield TriangleRow(
                     raster, BLOCK, tau, pyramid, order, errors,
                     round(float(np.mean([len(selection.nodes) for selection in drawn])), 1),
@@ -257,102 +211,26 @@ def triangle_rows(raster: str, levels: Levels) -> Iterator[TriangleRow]:
                 )  # fmt: skip
 
 
-def measure_motion(dem: Path, side: int, folder: Path) -> Iterator[MotionRow]:
-    """Yield how well each way says where cameras will be, and which blocks they will need."""
-    path = mirrored_file(dem, side, folder, max_error=1.0, method="rapid", block=BLOCK)
-    ground = Ground(path, None)
-    with terrainwave.open(path) as terrain:
-        mode = Batched(ModeNeeds(terrain, frame_of(terrain)))
-        table = table_of(mode)
-        for name, (_, place) in flights_of(ground, FLIGHT_S).items():
-            for frames, times in frame_times().items():
-                yield from motion_rows(dem.stem, name, frames, times, place, mode, table)
-
-
-def frame_times() -> dict[str, np.ndarray]:
-    """Return when frames are drawn, in seconds."""
-    lengths = np.random.default_rng(7).choice((1, 1, 1, 2, 4), int(FLIGHT_S * HERTZ))
-    uneven = np.cumsum(lengths) / HERTZ
-    return {"even": np.arange(FLIGHT_S * HERTZ) / HERTZ, "uneven": uneven[uneven < FLIGHT_S]}
-
-
-def predictions(
-    before: Camera, now: Camera, seconds: float, motion: Motion
-) -> Iterator[tuple[str, float, Camera]]:
-    """Yield each way, how far it looks ahead (0: one frame), and the camera there."""
-    step = now.eye - before.eye
-
-    def moved(times: float) -> Camera:
-        x, y, z = now.eye + step * times
-        return Camera((float(x), float(y), float(z)), now.heading, now.pitch, now.fov)
-
-    yield "one frame", 0.0, moved(1.0)
-    for ahead in AHEAD:
-        yield "line", ahead, moved(ahead / seconds)
-    for ahead, camera in zip(AHEAD, motion.ahead(), strict=False):
-        yield "ours", ahead, camera
-
-
-def motion_rows(raster, flight, frames, times, place, mode, table) -> Iterator[MotionRow]:
-    """Yield the lines of one flight."""
-    clock = [0.0]
-    motion = Motion(lambda: clock[0])
-    notes: dict[tuple[str, float], list[tuple[float, float]]] = {}
-    blocks: dict[tuple[str, float], list[tuple[int, int]]] = {}
-
-    def needed(camera: Camera) -> set[int]:
-        view = view_of(mode, camera, TAUS[0])
-        return set(table.wanted(view, MOST_BLOCKS, mode.split_error(TAUS[0])).tolist())
-
-    for number in range(len(times) - 1):
-        clock[0] = now = float(times[number])
-        camera = place(now)
-        motion.see(camera)
-        if now < SETTLED_S or number % EVERY:
-            continue
-        here, then = needed(camera), {}
-        seconds = now - float(times[number - 1])
-        for way, ahead, seen in predictions(place(now - seconds), camera, seconds, motion):
-            after = ahead or float(times[number + 1]) - now
-            truth = place(now + after)
-            turn = abs((seen.heading - truth.heading + 180) % 360 - 180)
-            key = way, ahead
-            notes.setdefault(key, []).append((float(np.linalg.norm(seen.eye - truth.eye)), turn))
-            found = needed(seen)
-            # What one frame ahead shows is held against all later views.
-            for later in AHEAD if way == "one frame" else (ahead,):
-                if later not in then:
-                    then[later] = needed(place(now + later)) - here
-                counts = len(then[later]), len(then[later] & found)
-                blocks.setdefault((way, later), []).append(counts)
-    for (way, ahead), apart in sorted(notes.items()):
-        metres, degrees = np.array(apart).T
-        for later in AHEAD if way == "one frame" else (ahead,):
-            n_needed, n_found = np.sum(blocks[way, later], axis=0).tolist()
-            yield MotionRow(
-                raster, flight, frames, way, later, len(apart),
-                *np.quantile(metres, [0.5, 0.95]).round(2),
-                *np.quantile(degrees, [0.5, 0.95]).round(2),
-                n_needed, round(n_found / n_needed, 4) if n_needed else "",
-            )  # fmt: skip
-
-
-PARTS = ("levels", "triangles", "motion")
+# Parts: what yields their rows.
+PARTS = {"levels": level_rows, "triangles": triangle_rows}
 
 
 @common.command()
 @common.rasters_argument
-@common.option("--only", cls=common.ListOption, type=click.Choice(PARTS), default=None)
-@common.option("--side", default=8192, help="Of the mirrored raster of flights.")
-def main(paths: list[Path], only: tuple[str, ...], side: int, folder: Path, out: Path) -> None:
+@common.choices_option("--only", of=PARTS)
+def main(paths: list[Path], only: tuple[str, ...], folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    parts = only or PARTS
-    for part, measure in (("levels", measure_levels), ("triangles", measure_triangles)):
-        if part in parts:
-            rows = (row for dem in paths for row in measure(dem, folder))
-            common.write_rows(out / f"zhang_{part}.csv", rows)
-    if "motion" in parts:
-        common.write_rows(out / "zhang_motion.csv", measure_motion(paths[0], side, folder))
+
+    def rows(part: str) -> Iterator[LevelRow | TriangleRow]:
+        for dem in paths:
+            file = folder / f"{dem.stem}-lossless.twz"
+            if not file.exists():
+                terrainwave.compress(dem, file, max_error=0, block=BLOCK, mesh="none", verify=False)
+            with terrainwave.open(file) as terrain:
+                yield from PARTS[part](dem.stem, Levels(terrain))
+
+    for part in only:
+        common.write_rows(out / f"zhang_{part}.csv", rows(part))
 
 
 if __name__ == "__main__":
