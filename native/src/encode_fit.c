@@ -1,5 +1,5 @@
 /*
- * What fits sum up. All sums are of whole numbers below 2^53 in doubles, exact in any order; other operations are single ones,
+ * What fits sum up. All sums are of whole numbers up to 2^53 in doubles, exact in any order; other operations are single ones,
  * in the order of fit_stencils.py and fit_weights.py.
  */
 #include "encode_fit.h"
@@ -77,8 +77,13 @@ int32_t twz_python_products_of(const double *values, int64_t n, int64_t step, co
     largest = most * roots[k] > largest ? most * roots[k] : largest;
   }
   int32_t shift = bits - max_i32(digits_of(largest), 0);
-  find_kernels(TWZ_KERNELS_AUTO)->fit_products(values, n, step, roots, power_of_two(shift), products);
+  const row_kernels *kernels = find_kernels(TWZ_KERNELS_AUTO);
+  const int64_t n_first = min_i64(n, FIT_EXACT);
+  double rest[FIT_TAPS * FIT_COLUMNS];
+  kernels->fit_products(values, n_first, step, roots, power_of_two(shift), products);
+  kernels->fit_products(values + n_first * step * FIT_COLUMNS, n - n_first, step, roots + n_first, power_of_two(shift), rest);
   for (int32_t tap = 0; tap < FIT_TAPS; tap++) {
+    for (int32_t j = tap; j < FIT_COLUMNS; j++) products[tap * FIT_COLUMNS + j] += rest[tap * FIT_COLUMNS + j];
     for (int32_t j = 0; j < tap; j++) products[tap * FIT_COLUMNS + j] = products[j * FIT_COLUMNS + tap];
   }
   return shift;

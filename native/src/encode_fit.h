@@ -4,7 +4,7 @@
 
 #include "internal.h"
 
-enum { FIT_TAPS = 24, FIT_COLUMNS = FIT_TAPS + 1, FIT_FEATURES = 4, FIT_ROWS = FIT_FEATURES + 1, FIT_BLOCK = 32 };
+enum { FIT_TAPS = 24, FIT_COLUMNS = FIT_TAPS + 1, FIT_FEATURES = 4, FIT_ROWS = FIT_FEATURES + 1, FIT_BLOCK = 32, FIT_EXACT = 8192 };
 
 /* Nearest whole number of one below 2^51, halves to even. */
 static ALWAYS_INLINE double nearest(double value) {
@@ -36,7 +36,10 @@ PYTHON_API void twz_python_errors_of(const double *values, int64_t n, int64_t st
 PYTHON_API void twz_python_sums_of_bits(const double *values, int64_t n, int64_t step, const double *weights, int32_t n_sets, double whole,
                                         double unit, const double *noises, double most, double *errors, int64_t *sums);
 
-/* FIT_TAPS rows of FIT_COLUMNS products of samples times `roots`, scaled to `bits` bits; returns by how many. */
+/*
+ * FIT_TAPS rows of FIT_COLUMNS products of samples times `roots`, scaled to `bits` bits, at most 20; returns by how many. Sums of
+ * the first FIT_EXACT samples and of the rest, at most as many, are exact; their sum is rounded once.
+ */
 PYTHON_API int32_t twz_python_products_of(const double *values, int64_t n, int64_t step, const double *roots, int32_t bits, double *products);
 
 /* The solutions of n systems of FIT_TAPS rows of FIT_COLUMNS by elimination; the systems change. */

@@ -212,6 +212,18 @@ def test_decoded_nan_among_valid_samples_is_beyond_any_bound(compare):
     assert "row 3, column 2" in report.problems[0]
 
 
+@pytest.mark.parametrize("extreme", [np.inf, -np.inf, *np.finfo("float32").max * np.array([1, -1])])
+@pytest.mark.parametrize("has_other", [False, True])
+def test_an_extreme_original_is_beyond_any_bound_though_it_has_no_ulp(compare, extreme, has_other):
+    decoded = terrain_like(4, 4, "float32")
+    heights = decoded.copy()
+    heights[3, 2] = extreme
+    heights[0, 0] += 5 * has_other
+    report = compare(heights, FakeTerrain(decoded, max_error=0.1, rounding_error=0.0))
+    assert not report.ok
+    assert "row 3, column 2" in report.problems[0]
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [

@@ -79,14 +79,13 @@ class GroupSpec(CodecParameters):
         shared: Sides = NOT_SHARED,
         forbidden: tuple[int, int] = (1, 0),
         effort: int = 0,
-        level: int = 1,
     ) -> Self:
         """Return the spec of a unit outside of a file, by default one without neighbours.
 
         `codec.unit_specs.unit_spec` returns those of a file's units.
         """
         return cls(
-            step, z_min, z_max, forbidden, 1, effort, level=level, core=core, region=region or core,
+            step, z_min, z_max, forbidden, 1, effort, level=1, core=core, region=region or core,
             parent_region=parent_region, shared=shared,
         )  # fmt: skip
 

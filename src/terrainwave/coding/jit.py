@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
+from importlib.util import find_spec
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -152,7 +153,7 @@ class _RareKernel:
     def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
         """Return whether to use plain Python: it took little time, and nothing is compiled."""
         if not _has_numba():
-            return self._seconds < _SECONDS_OF_IMPORT
+            return self._seconds < _SECONDS_OF_IMPORT or find_spec("numba") is None
         if self._seconds > 0:
             return self._seconds < _MOST_PLAIN_SECONDS
         return not _compiled().is_kept(self._compiled.made(), arguments)

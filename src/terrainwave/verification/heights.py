@@ -463,12 +463,14 @@ class _Comparison:
             allowed = math.nextafter(allowed, math.inf)
         if self._bound == 0 or self._terrain.info().rounding_error > 0:
             return allowed
-        # Voids may hold NaN and infinities, which have no ulp.
         zeros = np.zeros(both.shape, self._dtype)
         largest = np.maximum(
             np.abs(np.where(both, original, zeros)), np.abs(np.where(both, decoded, zeros))
         )
-        return allowed + np.spacing(largest).astype(np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):
+            ulps = np.spacing(largest).astype(np.float64)
+        # Infinities have no ulp, nor has the largest number.
+        return allowed + np.where(np.isfinite(ulps), ulps, 0.0)
 
 
 class _Counted:

@@ -5,6 +5,7 @@ them open loop (`fit_stencils`); then they are coded as if each were a file of i
 symbols counted. All in whole numbers: the same raster gives the same tables everywhere.
 """
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple, TypeVar
 
@@ -193,8 +194,8 @@ def _coded(
         for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
             part = np.s_[:: 1 << depth, :: 1 << depth]
             target, mask = whole[part], None if is_full else valid[part]
-            region, level = Region(0, 0, *target.shape), tables.k_max - depth
-            spec = GroupSpec.alone(region, sample.step, low, high, level=level)
+            spec = GroupSpec.alone(Region(0, 0, *target.shape), sample.step, low, high)
+            spec = replace(spec, level=tables.k_max - depth)
             above = coder.count(spec, above, target, mask, counts)
         return coder, counts
 

@@ -1,7 +1,7 @@
 """Choose and fit the stencils of a file (encoder only).
 
 Open loop: samples of the raster itself stand for decoded ones, with noise as quantising adds it.
-All sums are of whole numbers below 2**53, held in float64: they are exact in whatever order a
+All sums are of whole numbers up to 2**53, held in float64: they are exact in whatever order a
 machine adds them, and single operations round alike everywhere. So the same raster gives the same
 stencils on every machine, at the speed of its matrix products.
 """
@@ -39,6 +39,8 @@ _MARGIN = 4  # no tap is further away, in samples of the lattice
 FINE = 64
 MOST, MOST_SCALED_BITS = 1 << 17, 20
 _INFLUENCE = 1 << 20
+# Products of so many samples have a sum below 2**53, those of twice as many are two of these.
+_EXACT = 8192
 # One sample of so many in each turn of a fit: early turns only find the weights of the samples.
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
@@ -335,8 +337,9 @@ def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
     both *= 2.0**shift
     np.rint(both, out=both)
     parts = both.reshape(-1, _AT_A_TIME, MOST_TAPS + 1)
-    products: Reals = np.matmul(parts[:, :, :MOST_TAPS].transpose(0, 2, 1), parts).sum(0)
-    return products, shift
+    products = np.matmul(parts[:, :, :MOST_TAPS].transpose(0, 2, 1), parts)
+    first, rest = np.split(products, [_EXACT // _AT_A_TIME])
+    return first.sum(0) + rest.sum(0), shift
 
 
 def _weights(systems: Reals, penalties: Reals, is_core: Reals, has_tap: Reals) -> Reals:

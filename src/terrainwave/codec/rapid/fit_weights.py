@@ -159,7 +159,7 @@ def rows_of(
     rows = np.ones((N_FEATURES + 1, len(coded)))
     rows[1:3] = features[:2, coded] * unit
     rows[3] = features[2, coded]
-    rows[4] = np.abs(details[coded])
+    rows[4] = np.abs(details[coded], dtype=np.float64)
     return rows
 
 

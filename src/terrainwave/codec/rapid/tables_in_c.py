@@ -100,18 +100,31 @@ def _function(name: str) -> Any:
     return library().plain(f"twz_python_{name}", _RESULTS.get(name), *_SIGNATURES[name])
 
 
+def _address(array: NDArray[Any], dtype: Any, *shape: int) -> int:
+    """Return where an array lies; the library reads it as one of a type and shape, without gaps."""
+    assert array.dtype == dtype
+    assert array.shape == shape
+    assert array.flags.c_contiguous
+    return int(array.ctypes.data)
+
+
 def gather_at(
     places: NDArray[np.int64], offsets: NDArray[np.int64], core: NDArray[np.int64],
     flat: Heights, valid: Mask | None, step: int, values: Reals,
 ) -> int:  # fmt: skip
     """Do as `fit_stencils.gather_at`."""
-    arrays = places, offsets, flat, values
-    assert all(array.flags.c_contiguous for array in arrays)
-    assert len(values) >= len(places)
+    n, n_taps = len(places), len(offsets) - 1
+    if n == 0:
+        return 0
+    assert places.min() + offsets.min() >= 0
+    assert places.max() + offsets.max() < len(flat)
+    assert core.max() < n_taps <= MOST_TAPS
     job = _Gathering(
-        flat.ctypes.data, None if valid is None else valid.ctypes.data, places.ctypes.data,
-        offsets.ctypes.data, len(places), len(offsets) - 1, tuple(core.tolist()),
-        fit_stencils.FINE / step, fit_stencils.MOST, values.ctypes.data,
+        _address(flat, np.int32, len(flat)),
+        None if valid is None else _address(valid, np.bool_, len(flat)),
+        _address(places, np.int64, n), _address(offsets, np.int64, n_taps + 1), n, n_taps,
+        tuple(core.tolist()), fit_stencils.FINE / step, fit_stencils.MOST,
+        _address(values[:n], np.float64, n, MOST_TAPS + 1),
     )  # fmt: skip
     found: int = _function("gather_samples")(ctypes.byref(job))
     return found
@@ -120,8 +133,11 @@ def gather_at(
 def _rows(values: Reals) -> tuple[int, int, int]:
     """Return the address of rows of samples, their number, and of how many they are each first."""
     n, n_columns = values.shape
+    every, rest = divmod(values.strides[0], values.itemsize * n_columns)
+    assert values.dtype == np.float64
     assert (n_columns, n % _BLOCK, values.strides[1]) == (MOST_TAPS + 1, 0, values.itemsize)
-    return values.ctypes.data, n, values.strides[0] // (values.itemsize * n_columns)
+    assert rest == 0 < every
+    return values.ctypes.data, n, every
 
 
 def _sets(weights: NDArray[np.int64]) -> tuple[Reals, int, int, float]:
@@ -143,7 +159,8 @@ def sums_of_bits(values: Reals, weights: NDArray[np.int64], noises: Reals) -> ND
     (sets, *units), sums = _sets(weights), np.zeros(len(weights), dtype=np.int64)
     noises, memory = np.ascontiguousarray(noises), np.empty((len(weights), _BLOCK))
     _function("sums_of_bits")(
-        *_rows(values), sets.ctypes.data, *units, noises.ctypes.data, fit_stencils.MOST_SQUARED,
+        *_rows(values), sets.ctypes.data, *units, _address(noises, np.float64, len(weights)),
+        fit_stencils.MOST_SQUARED,
         memory.ctypes.data, sums.ctypes.data,
     )  # fmt: skip
     return sums
@@ -153,17 +170,17 @@ def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
     """Do as `fit_stencils.products_of`."""
     products = np.empty((MOST_TAPS, MOST_TAPS + 1))
     shift = _function("products_of")(
-        *_rows(values), roots.ctypes.data, fit_stencils.MOST_SCALED_BITS, products.ctypes.data
-    )
+        *_rows(values), _address(roots, np.float64, len(values)), fit_stencils.MOST_SCALED_BITS,
+        products.ctypes.data,
+    )  # fmt: skip
     return products, shift
 
 
 def solve(systems: Reals) -> Reals:
     """Do as `fit_stencils.solve`."""
-    assert systems.flags.c_contiguous
-    assert systems.shape[1:] == (MOST_TAPS, MOST_TAPS + 1)
-    solutions = np.empty(systems.shape[:2])
-    _function("solve")(systems.ctypes.data, len(systems), solutions.ctypes.data)
+    n, solutions = len(systems), np.empty(systems.shape[:2])
+    address = _address(systems, np.float64, n, MOST_TAPS, MOST_TAPS + 1)
+    _function("solve")(address, n, solutions.ctypes.data)
     return solutions
 
 
@@ -173,10 +190,10 @@ def rows_of(
 ) -> Reals:  # fmt: skip
     """Do as `fit_weights.rows_of`."""
     rows = np.empty((N_FEATURES + 1, len(details) // every))
-    arrays = [np.ascontiguousarray(array) for array in (features, details, is_coded)]
+    n, arrays = len(details), [np.ascontiguousarray(own) for own in (features, details, is_coded)]
     found = _function("rows_of")(
-        *(array.ctypes.data for array in arrays), len(details), every, unit, rows.shape[1],
-        rows.ctypes.data,
+        _address(arrays[0], np.int32, N_FEATURES - 1, n), _address(arrays[1], np.int32, n),
+        _address(arrays[2], np.bool_, n), n, every, unit, rows.shape[1], rows.ctypes.data,
     )  # fmt: skip
     return rows[:, :found]
 
@@ -185,8 +202,10 @@ def weighed_products(rows: Reals, weights: Reals) -> Reals:
     """Do as `fit_weights.weighed_products`."""
     rows, weights = np.ascontiguousarray(rows), np.ascontiguousarray(weights)
     parts, products = np.empty_like(rows), np.empty((len(rows), len(rows)))
+    n = rows.shape[1]
     _function("weighed_products")(
-        rows.ctypes.data, rows.shape[1], weights.ctypes.data, fit_weights.LEAST_EXPECTED,
+        _address(rows, np.float64, N_FEATURES + 1, n), n,
+        _address(weights, np.float64, N_FEATURES), fit_weights.LEAST_EXPECTED,
         fit_weights.SCALED_BITS, parts.ctypes.data, products.ctypes.data,
     )  # fmt: skip
     return products

@@ -172,7 +172,8 @@ class RoundReader:
 
     def _overlapping(self, wanted: ByteRange) -> Iterator[tuple[int, bytes]]:
         first = bisect_right(self._pieces, wanted.offset, key=lambda piece: piece[0]) - 1
-        for start, piece in self._pieces[max(0, first) :]:
+        for at in range(max(0, first), len(self._pieces)):
+            start, piece = self._pieces[at]
             if start >= wanted.end:
                 break
             if start + len(piece) > wanted.offset:

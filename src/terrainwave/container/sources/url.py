@@ -154,7 +154,8 @@ class _Reply(NamedTuple):
 class _UrlSource(ByteSource):
     """A source whose requests are repeated; `n_replies` so far, for tests of waiting."""
 
-    # Errors of requests, and those that a retry may help.
+    # Errors that say there is no file; errors of requests, and those that a retry may help.
+    _absent: tuple[type[Exception], ...] = ()
     _failing: tuple[type[Exception], ...] = (OSError, http.client.HTTPException)
     _passing = _failing
 
@@ -177,7 +178,7 @@ class _UrlSource(ByteSource):
                 reason = f"status {reply.status}"
             except TerrainwaveError:
                 raise
-            except FileNotFoundError as error:
+            except self._absent as error:
                 raise StorageError(f"cannot read {self.name}: no such file") from error
             except self._failing as error:
                 is_passing = isinstance(error, self._passing) and not isinstance(error, _LASTING)
@@ -499,6 +500,7 @@ class FsspecSource(_UrlSource):
 
     # File systems raise errors of their libraries, most of which are not OSErrors.
     _failing, _passing = (Exception,), (ConnectionError, TimeoutError)
+    _absent = (FileNotFoundError,)
 
     def __init__(self, url: str, version: str | None = None) -> None:
         super().__init__(url)
