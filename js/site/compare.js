@@ -18,14 +18,15 @@ function wholeSteps(bound, scale) {
   return Number((a * d * slack + b * c) / (b * c * slack));
 }
 
-/** Return the distance of a float from the next larger one of a dtype. */
+/** Return the distance of a float from the next larger one of a dtype; 0 where none is finite. */
 function ulpOf(dtype, value) {
   const [Float, Bits, one] = FLOATS[dtype];
   const float = Float.of(value);
   const bits = new Bits(float.buffer);
   const before = float[0];
   bits[0] += one;
-  return float[0] - before;
+  const ulp = float[0] - before;
+  return Number.isFinite(ulp) ? ulp : 0;
 }
 
 /** Return what equals a nodata value in heights of a dtype; null: nothing does. */

@@ -196,3 +196,18 @@ def test_what_differs_is_one_clear_line(tmp_path):
     for (path, line), found in zip(others.items(), compared(twz, *others), strict=True):
         lines = found.get("problems", [found.get("error")])
         assert lines == [] if not line else any(line in one for one in lines), (path, found)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_an_original_that_is_infinite_or_the_largest_float_is_beyond_every_bound(tmp_path, dtype):
+    heights = floats().astype(dtype)
+    twz = compressed(tmp_path, write_raster(tmp_path / "a.tif", heights, BOUNDS), 0.1)
+    values = [np.inf, -np.inf, np.finfo(dtype).max, np.finfo(dtype).min]
+    originals = []
+    for i, value in enumerate(values):
+        changed = heights.copy()
+        changed[7, 5] = value
+        originals.append(write_raster(tmp_path / f"{i}.tif", changed, BOUNDS))
+    for found in compared(twz, *originals):
+        assert found["problems"][0].startswith("1 sample is further from the original than 0.")
+        assert "at row 7, column 5" in found["problems"][0]
