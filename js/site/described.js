@@ -4,7 +4,7 @@ const EARTH = 6378137; // metres
 const DEGREE = Math.PI / 180;
 /** Metres from the middle of a plane to its furthest side, at most: a map ends near its poles. */
 const MOST_OF_PLANE = 8e6;
-const METRES = { m: 1, metre: 1, meter: 1, metres: 1, meters: 1, km: 1000, ft: 0.3048, foot: 0.3048, feet: 0.3048 };
+export const METRES = { m: 1, metre: 1, meter: 1, metres: 1, meters: 1, km: 1000, ft: 0.3048, foot: 0.3048, feet: 0.3048 };
 /** Heights that terrarium tiles hold: their steps are the finer ones. */
 const TERRARIUM = [-32768, 32767];
 const ORIGIN = /licen[cs]e|^lic$|copyright|rights|attribution|credit|source|author|provider|publisher|sensor/i;
