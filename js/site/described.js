@@ -93,8 +93,8 @@ function stretched(ramps, lowest, highest) {
   }));
 }
 
-/** Return what the file says of itself, as `terrainwave info` names it: [name, text]. */
-export function factsOf(terrain, root) {
+/** Return what the file says of itself, as `terrainwave info` names it: [name, text]. `isVoid`: nothing is valid. */
+export function factsOf(terrain, root, isVoid) {
   const { metadata, nRows, nCols, nLevels, dtype, method, units, fileSize: bytes } = terrain;
   const inUnits = (value) => `${value}${units ? ` ${units}` : ""}`;
   const levels = Array.from({ length: nLevels }, (_, k) => terrain.shape(k)).map((level) => `${level.nRows} × ${level.nCols}`);
@@ -105,7 +105,7 @@ export function factsOf(terrain, root) {
     ["Size", `${nRows} rows × ${nCols} columns, ${dtype}`],
     ["Bits per sample", ((8 * bytes) / (nRows * nCols)).toPrecision(4)],
     ["Largest error", `asked ${inUnits(terrain.maxError)}, holds ${inUnits(terrain.effectiveBound)}${side}`],
-    ["Heights", `${inUnits(terrain.rawMin * terrain.scale + terrain.offset)} to ${inUnits(terrain.rawMax * terrain.scale + terrain.offset)}`],
+    ["Heights", isVoid ? "none: all samples are void" : `${inUnits(terrain.rawMin * terrain.scale + terrain.offset)} to ${inUnits(terrain.rawMax * terrain.scale + terrain.offset)}`],
     ["Unit", units ?? "unknown"],
     ["Voids", terrain.hasVoids ? "some" : "none"],
     ["Nodata", terrain.nodata === null ? "none" : `${terrain.nodata}`],

@@ -8,7 +8,7 @@ import rasterio
 import rasterio.shutil
 from affine import Affine
 from ext.rasters import BOUNDS, hills, write_raster
-from ext.test_javascript import node
+from ext.test_javascript import JS, node
 
 import terrainwave
 
@@ -277,9 +277,6 @@ def patch_nodata(path, text):
     path.write_bytes(data[:entry] + entry_bytes + data[entry + 12 :] + text.encode() + b"\0")
 
 
-DEPTHS = 'VERT_CS["depth",VERT_DATUM["sea",2005],UNIT["metre",1],AXIS["Depth",DOWN]]'
-
-
 @pytest.mark.parametrize(
     ("crs", "scale", "heights_are", "is_known"),
     [
@@ -389,3 +386,82 @@ def test_bars_are_of_one_width_and_count_whole_steps(tmp_path, make, max_error, 
         n = ((differences >= bar["from"]) & (differences <= bar["to"])).sum()
         assert bar["n"] == n, i
     assert sum(bar["n"] for bar in bars) == differences.size
+
+
+SAVE = """
+import { openAsBlob } from "node:fs"; import { writeFile } from "node:fs/promises";
+const [twz, tif] = process.argv.slice(1);
+const { open } = await import("./src/index.js");
+const { geoTiff } = await import("./site/files.js");
+const terrain = await open(await openAsBlob(twz));
+const { parts } = geoTiff(terrain, await terrain.read(), true);
+await writeFile(tif, Buffer.from(await new Blob(parts).arrayBuffer()));
+"""
+
+
+@pytest.mark.parametrize(
+    ("dtype", "nodata", "expected"),
+    [
+        ("int16", None, -32768),
+        ("uint8", None, 2),
+        ("float32", None, np.nan),
+        ("int16", -32768, -32768),
+        ("float32", -np.inf, -np.inf),
+        ("float64", np.inf, np.inf),
+    ],
+)
+def test_voids_stay_void_in_a_saved_geotiff(tmp_path, dtype, nodata, expected):
+    heights = (hills(90, 120) % 200 + 3).astype(dtype)
+    if dtype == "uint8":
+        heights[0, :2] = 0, 1
+    valid = np.ones((90, 120), bool)
+    valid[20:40, 30:80] = False
+    path = tmp_path / "a.tif"
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        rasterio.open(
+            path, "w", driver="GTiff", height=90, width=120, count=1, dtype=dtype,
+            crs="EPSG:4326", transform=TRANSFORM, nodata=nodata,
+        ) as raster,
+    ):  # fmt: skip
+        raster.write(heights if nodata is None else np.where(valid, heights, nodata), 1)
+        if nodata is None:
+            raster.write_mask(valid)
+    node("--input-type=module", "-e", SAVE, compressed(tmp_path, path, 0), tmp_path / "b.tif")
+    with rasterio.open(tmp_path / "b.tif") as raster:
+        assert raster.nodata == pytest.approx(expected, nan_ok=True)
+        saved = raster.read(1, masked=True)
+    assert (np.ma.getmaskarray(saved) == ~valid).all()
+    assert (saved == heights)[valid].all()
+
+
+MESH = """
+const { SIDE, mesher } = await import("./site/mesh.js");
+const rough = Float64Array.from({ length: SIDE * SIDE }, (_, i) => 50 * Math.sin(i * 12.9898));
+const meshes = [(i) => i % 2 ? NaN : rough[i], (i) => i % SIDE < 200 ? NaN : rough[i],
+  (i) => rough[i], () => NaN, () => 5];
+console.log(JSON.stringify(meshes.map((height) => {
+  const { lines, ...told } = mesher(rough.map((_, i) => height(i)))(0.5);
+  return told;
+})));
+"""
+
+
+def test_a_mesh_counts_samples_that_no_triangle_covers():
+    alternate, left, whole, void, flat = json.loads(node("--input-type=module", "-e", MESH))
+    assert (alternate["nTriangles"], alternate["nOutside"]) == (0, (513 * 513 + 1) // 2)
+    assert left["nTriangles"] > 0
+    assert left["nOutside"] < 513 * 300
+    assert whole["nOutside"] == flat["nOutside"] == 0
+    assert (void["nTriangles"], void["nOutside"]) == (0, 0)
+
+
+def test_bounds_are_rounded_up():
+    colours = JS.parent / "src/terrainwave/ext/serve/static/colours.js"
+    numbers = [0.0999755, 9.99951, 8, 0, 0.30000000000000004, 1000.01, 123456, 0.00012341]
+    code = (
+        f"const {{ roundedUp }} = await import({str(colours)!r});"
+        f"console.log(JSON.stringify({numbers}.map((n) => roundedUp(n, 4))))"
+    )
+    expected = [0.09998, 10, 8, 0, 0.3, 1001, 123500, 0.0001235]
+    assert json.loads(node("--input-type=module", "-e", code)) == expected
