@@ -1,4 +1,4 @@
-"""Does the page of `terrainwave site` open and prove what its visitors have, wherever it lies?"""
+"""The page of `terrainwave site` opens and proves what its visitors have, wherever it lies."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from selenium.webdriver.support.select import Select
 import terrainwave
 from terrainwave.ext.publish import write_site
 
-# What a host may send: stricter than what the page says of itself, as no other host is asked.
+# A policy that hosts may send: stricter than what the page says of itself, as no other host is asked.
 POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
     " img-src 'self' data: blob:; connect-src 'self' data:"

@@ -1,4 +1,4 @@
-"""Does the page of `terrainwave site` find of a file and its original what `verify` finds?"""
+"""The page of `terrainwave site` finds of a file and its original what `verify` finds."""
 
 import json
 
