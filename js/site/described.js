@@ -1,4 +1,4 @@
-/** What a page shows of a file that nobody described before: as `terrainwave publish` writes it, without PROJ. */
+/** Description of a file for the page, as `terrainwave publish` writes it, but without PROJ. */
 
 const EARTH = 6378137; // metres
 const DEGREE = Math.PI / 180;
@@ -15,7 +15,7 @@ function numberIn(wkt, keywords) {
   return found ? Number(found[1]) : null;
 }
 
-/** Whether places are longitudes and latitudes: what the CRS says, and bounds that fit. */
+/** Return whether places are longitudes and latitudes: the CRS says so, and the bounds fit. */
 export function isInDegrees({ crs, bounds: { left, right, bottom, top } }) {
   const fits = left >= -360 && right <= 720 && right - left <= 360.001 && bottom >= -90.001 && top <= 90.001;
   const isGeographic = crs === null || /^\w+:\w+$/.test(crs) ? !/^EPSG:(2|3|[5-9]\d{4}$)/.test(crs ?? "")

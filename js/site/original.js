@@ -11,7 +11,7 @@ const CHOOSE = "choose the raster that the file was made from";
 const IS_MASK = 4; // of NewSubfileType
 const IS_POINT = 2; // of GTRasterTypeGeoKey
 const SIZES = [8, 16, 32, 64];
-/** Of Compression: what geotiff.js reads without loss, and GDAL writes. */
+/** Names of Compression that geotiff.js reads as GDAL writes them. */
 const COMPRESSIONS = { 1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 50000: "ZSTD" };
 const NO_UNIT = /^(|unspecified|unknown|undefined|none|n\/a|-)$/i;
 /** CRSs without a vertical axis, which would give the heights a unit: they are named by a code, or a WKT in full. */
@@ -56,7 +56,7 @@ export class Original {
   /** Rows that are decoded together. */
   get tileRows() { return this.#image.getTileHeight(); }
 
-  /** Refuse what geotiff.js reads wrong, or not at all. */
+  /** Refuse GeoTIFFs that geotiff.js reads wrong, or not at all. */
   #refuseUnreadable(band, isBigEndian) {
     const tag = (name) => this.#image.fileDirectory.getValue(name);
     const refuse = (found, expected, options) => {

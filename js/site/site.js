@@ -134,7 +134,7 @@ async function shown({ detail: described }) {
   });
 }
 
-// What is drawn on the map: a new style drops it.
+// Lines and points on the map: a new style drops them.
 
 const drawn = { mesh: null, worst: null };
 

@@ -54,7 +54,7 @@ export class Core {
   #array; // of heights
   #cacheBytes;
 
-  /** Whether the decoder broke off: what lies in its memory may be anything. */
+  /** True after the decoder broke off: its memory may hold anything. */
   isBroken = false;
 
   /** Begin a file of `size` bytes, of which `cacheBytes` of decoded units are kept. */

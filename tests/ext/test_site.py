@@ -17,7 +17,7 @@ from selenium.webdriver.support.select import Select
 import terrainwave
 from terrainwave.ext.publish import write_site
 
-# A policy that hosts may send: stricter than what the page says of itself, as no other host is asked.
+# A policy that hosts may send: stricter than the page's own, as no other host is asked.
 POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
     " img-src 'self' data: blob:; connect-src 'self' data:"
