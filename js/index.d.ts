@@ -113,7 +113,7 @@ export class Terrain {
   blockError(level: number, row: number, col: number): Promise<number>;
   /** Root of the file's digests as it states it, 64 hexadecimal digits; null without digests. */
   statedRoot(): Promise<string | null>;
-  /** Digest of a tile of 512 x 512 samples of the full grid, fewer at the last ones: 32 bytes. */
+  /** Digest of a tile of 512 x 512 samples of the full grid, fewer at the last ones: 32 bytes. ArgumentError: the arrays do not fit. */
   digest(tile: Shape & { heights: Heights; valid: Uint8Array }): Promise<Uint8Array>;
   /** Root of all heights, by the digests of all tiles, row by row: as `statedRoot`, if nothing is damaged. */
   rootOf(digests: Uint8Array): Promise<string>;

@@ -16,11 +16,11 @@ export const WORK = {
   async open({ twz, tif, band, cacheBytes }) {
     terrain = await open(twz, { cacheBytes, workers: 0 });
     original = await Original.open(tif, band);
-    const { dtype, method, maxError, effectiveBound, rawRho, scale, boundSide, heightsAre, nRows, nCols } = terrain;
+    const { dtype, method, maxError, effectiveBound, rawRho, scale, boundSide, heightsAre, crs, nRows, nCols } = terrain;
     // Bands of whole tiles of the GeoTIFF: it decodes none twice.
     const rows = TILE * Math.ceil(original.tileRows / TILE);
     return {
-      file: { dtype, method, maxError, effectiveBound, rawRho, scale, boundSide, heightsAre },
+      file: { dtype, method, maxError, effectiveBound, rawRho, scale, boundSide, heightsAre, crs },
       nRows, nCols, rows, nodata: original.nodata, ...original.problems(terrain),
       stated: await terrain.statedRoot(),
     };

@@ -18,26 +18,42 @@ function wholeSteps(bound, scale) {
   return Number((a * d * slack + b * c) / (b * c * slack));
 }
 
-/** Return the distance of a float from the next larger one of a dtype. */
+/** Return the distance of a float from the next larger one of a dtype; 0 where none is finite. */
 function ulpOf(dtype, value) {
   const [Float, Bits, one] = FLOATS[dtype];
   const float = Float.of(value);
   const bits = new Bits(float.buffer);
   const before = float[0];
   bits[0] += one;
-  return float[0] - before;
+  const ulp = float[0] - before;
+  return Number.isFinite(ulp) ? ulp : 0;
 }
 
 /** Return what equals a nodata value in heights of a dtype; null: nothing does. */
 export function storedNodata(nodata, dtype) {
   if (nodata === null || Number.isNaN(nodata)) return null;
   if (dtype === "float32") return Math.fround(nodata);
-  return dtype === "float64" || Number.isInteger(nodata) ? nodata : null;
+  if (dtype === "float64") return nodata;
+  const [, isUnsigned, bits] = /^(u?)int(\d+)$/.exec(dtype);
+  const [low, high] = isUnsigned ? [0, 2 ** bits - 1] : [-(2 ** (bits - 1)), 2 ** (bits - 1) - 1];
+  return Number.isInteger(nodata) && nodata >= low && nodata <= high ? nodata : null;
 }
 
 /**
- * Sums over the samples of a file. `file` has dtype, method, maxError, effectiveBound, rawRho, scale, boundSide and
- * heightsAre of a `Terrain`; `nodata` is the original's.
+ * Return the side of stored numbers: 1 above their originals, -1 below, 0 both, null where it cannot be decided: nobody
+ * named heights or depths, and a code of the CRS may stand for a downward axis (there is no PROJ). Codes of EPSG below
+ * 5000 and of five digits from 21000 on are old ones, none of which counts depths.
+ */
+function sideOf({ boundSide, scale, heightsAre, crs }) {
+  const side = boundSide * Math.sign(scale);
+  if (side === 0 || heightsAre !== null) return heightsAre === "depth" ? -side : side;
+  if (/\bAXIS\s*\[\s*"[^"]*"\s*,\s*down\b/i.test(crs ?? "")) return -side;
+  return crs === null || crs.includes("[") || /^(IAU_\d+:.*|EPSG:([1-4]\d{3}|2[1-9]\d{3}|3[0-2]\d{3}))$/.test(crs) ? side : null;
+}
+
+/**
+ * Sums over the samples of a file. `file` has dtype, method, maxError, effectiveBound, rawRho, scale, boundSide,
+ * heightsAre and crs of a `Terrain`; `nodata` is the original's.
  */
 export class Comparison {
   constructor(file, nodata) {
@@ -45,15 +61,20 @@ export class Comparison {
     const isFloat = dtype in FLOATS;
     this.dtype = dtype;
     this.scale = Math.abs(scale);
+    this.sign = Math.sign(scale);
     this.allowed = isFloat ? bound / this.scale : wholeSteps(bound, scale);
     // Division by the scale may have rounded down.
     if (isFloat && this.scale !== 1) this.allowed += ulpOf("float64", this.allowed);
     // Floats on a decimal grid are up to half an ulp off it, both of them.
     this.hasUlp = isFloat && bound > 0 && file.rawRho === 0;
     this.keepsSigns = isFloat && bound === 0 && file.maxError === 0 && file.method !== "cdf53";
-    this.side = file.boundSide * Math.sign(scale) * (file.heightsAre === "depth" ? -1 : 1);
+    this.side = sideOf(file);
     this.nodata = storedNodata(nodata, dtype);
-    this.nBars = isFloat ? MOST_BARS : Math.min(Math.max(this.allowed, 0), MOST_BARS);
+    // Bars are of one width, an odd number of whole steps for integers; the middle one lies around 0.
+    this.width = isFloat ? (2 * this.allowed) / (2 * MOST_BARS + 1) : 1 + 2 * Math.ceil(Math.max(this.allowed - MOST_BARS, 0) / (2 * MOST_BARS + 1));
+    this.nBars = isFloat ? (bound > 0 ? MOST_BARS : 0) : Math.ceil((this.allowed - (this.width - 1) / 2) / this.width);
+    /** How far the values of a bar lie from its middle. */
+    this.half = isFloat ? this.width / 2 : (this.width - 1) / 2;
     this.found = {
       nSamples: 0, nValid: 0, largest: 0, squares: 0, worst: null, nBeyond: 0, beyond: null, excess: 0,
       nVoid: 0, oneVoid: null, nSide: 0, wrongSide: null, nSigns: 0, sign: null, nTaken: 0,
@@ -63,8 +84,7 @@ export class Comparison {
 
   /** Add a window from (row, col) on: the original's heights and validity, and those of the file. */
   add({ row, col, nCols }, original, valid, heights, decodedValid) {
-    const { found, allowed, side, nodata, nBars } = this;
-    const width = nBars > 0 ? allowed / nBars : 0;
+    const { found, allowed, side, nodata, nBars, width, sign } = this;
     for (let i = 0; i < original.length; i++) {
       if (decodedValid[i] && heights[i] === nodata) found.nTaken++;
       if (!valid[i] !== !decodedValid[i]) {
@@ -82,8 +102,8 @@ export class Comparison {
         found.largest = difference;
         found.worst = { ...placeOf(i), original: one, decoded: other };
       }
-      if (difference > allowed) this.#beyond(difference, one, other, () => placeOf(i));
-      if (side !== 0 && (side > 0 ? other < one : other > one)) {
+      const isBeyond = difference > allowed && this.#beyond(difference, one, other, () => placeOf(i));
+      if (side && (side > 0 ? other < one : other > one)) {
         found.nSide++;
         found.wrongSide ??= placeOf(i);
       }
@@ -91,8 +111,7 @@ export class Comparison {
         found.nSigns++;
         found.sign ??= placeOf(i);
       }
-      const bar = width > 0 ? Math.round(signed / width) : Math.sign(signed);
-      if (bar >= -nBars && bar <= nBars) found.bars[nBars + bar]++;
+      if (!isBeyond) found.bars[nBars + Math.min(Math.max(Math.round((sign * signed) / width) || 0, -nBars), nBars)]++;
     }
     found.nSamples += original.length;
 
@@ -105,11 +124,13 @@ export class Comparison {
     const { found, dtype } = this;
     const ulp = this.hasUlp ? ulpOf(dtype, Math.max(Math.abs(one), Math.abs(other))) : 0;
     const excess = difference - this.allowed - ulp;
-    if (!(excess > 0)) return;
+    if (!(excess > 0)) return false;
     found.nBeyond++;
-    if (excess <= found.excess) return;
-    found.excess = excess;
-    found.beyond = { ...placeOf(), difference };
+    if (excess > found.excess) {
+      found.excess = excess;
+      found.beyond = { ...placeOf(), difference };
+    }
+    return true;
   }
 
   /** Add what another comparison of the same file found, in a worker. */
@@ -127,10 +148,12 @@ export class Comparison {
     other.bars.forEach((n, i) => { found.bars[i] += n; });
   }
 
-  /** Return { maxError, rmse } in physical units, the histogram's bars [{ from, n }], and problems, a line each. */
+  /**
+   * Return { maxError, rmse } in physical units, the histogram's bars [{ from, to, n }], problems, a line each, and
+   * whether the side of a one-sided bound was not checked.
+   */
   report() {
-    const { found, scale, nBars, allowed } = this;
-    const width = (nBars > 0 ? allowed / nBars : 0) * scale;
+    const { found, scale, nBars, allowed, width, half } = this;
     const at = ({ row, col }) => `at row ${row}, column ${col}`;
     const samples = (n) => (n === 1 ? "1 sample is" : `${n} samples are`);
     const problems = [];
@@ -147,7 +170,8 @@ export class Comparison {
     return {
       nValid: found.nValid, maxError: found.largest * scale, worst: found.worst, problems,
       rmse: Math.sqrt(found.squares / Math.max(found.nValid, 1)) * scale,
-      bars: found.bars.map((n, i) => ({ from: (i - nBars) * width, n })),
+      isSideUnknown: this.side === null,
+      bars: found.bars.map((n, i) => ({ from: ((i - nBars) * width - half) * scale, to: ((i - nBars) * width + half) * scale, n })),
     };
   }
 }

@@ -1,10 +1,10 @@
-/** What a page shows of a file that nobody described before: as `terrainwave publish` writes it, without PROJ. */
+/** Description of a file for the page, as `terrainwave publish` writes it, but without PROJ. */
 
 const EARTH = 6378137; // metres
 const DEGREE = Math.PI / 180;
 /** Metres from the middle of a plane to its furthest side, at most: a map ends near its poles. */
 const MOST_OF_PLANE = 8e6;
-const METRES = { m: 1, metre: 1, meter: 1, metres: 1, meters: 1, km: 1000, ft: 0.3048, foot: 0.3048, feet: 0.3048 };
+export const METRES = { m: 1, metre: 1, meter: 1, metres: 1, meters: 1, km: 1000, ft: 0.3048, foot: 0.3048, feet: 0.3048 };
 /** Heights that terrarium tiles hold: their steps are the finer ones. */
 const TERRARIUM = [-32768, 32767];
 const ORIGIN = /licen[cs]e|^lic$|copyright|rights|attribution|credit|source|author|provider|publisher|sensor/i;
@@ -15,7 +15,7 @@ function numberIn(wkt, keywords) {
   return found ? Number(found[1]) : null;
 }
 
-/** Whether places are longitudes and latitudes: what the CRS says, and bounds that fit. */
+/** Return whether places are longitudes and latitudes: the CRS says so, and the bounds fit. */
 export function isInDegrees({ crs, bounds: { left, right, bottom, top } }) {
   const fits = left >= -360 && right <= 720 && right - left <= 360.001 && bottom >= -90.001 && top <= 90.001;
   const isGeographic = crs === null || /^\w+:\w+$/.test(crs) ? !/^EPSG:(2|3|[5-9]\d{4}$)/.test(crs ?? "")
@@ -93,8 +93,8 @@ function stretched(ramps, lowest, highest) {
   }));
 }
 
-/** Return what the file says of itself, as `terrainwave info` names it: [name, text]. */
-export function factsOf(terrain, root) {
+/** Return what the file says of itself, as `terrainwave info` names it: [name, text]. `isVoid`: nothing is valid. */
+export function factsOf(terrain, root, isVoid) {
   const { metadata, nRows, nCols, nLevels, dtype, method, units, fileSize: bytes } = terrain;
   const inUnits = (value) => `${value}${units ? ` ${units}` : ""}`;
   const levels = Array.from({ length: nLevels }, (_, k) => terrain.shape(k)).map((level) => `${level.nRows} × ${level.nCols}`);
@@ -105,7 +105,7 @@ export function factsOf(terrain, root) {
     ["Size", `${nRows} rows × ${nCols} columns, ${dtype}`],
     ["Bits per sample", ((8 * bytes) / (nRows * nCols)).toPrecision(4)],
     ["Largest error", `asked ${inUnits(terrain.maxError)}, holds ${inUnits(terrain.effectiveBound)}${side}`],
-    ["Heights", `${inUnits(terrain.rawMin * terrain.scale + terrain.offset)} to ${inUnits(terrain.rawMax * terrain.scale + terrain.offset)}`],
+    ["Heights", isVoid ? "none: all samples are void" : `${inUnits(terrain.rawMin * terrain.scale + terrain.offset)} to ${inUnits(terrain.rawMax * terrain.scale + terrain.offset)}`],
     ["Unit", units ?? "unknown"],
     ["Voids", terrain.hasVoids ? "some" : "none"],
     ["Nodata", terrain.nodata === null ? "none" : `${terrain.nodata}`],

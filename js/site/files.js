@@ -1,5 +1,7 @@
 /** Files of a window of heights: an uncompressed GeoTIFF, or a PNG of 16 bits. */
 
+import { storedNodata } from "./compare.js";
+
 const SHORT = 3, LONG = 4, DOUBLE = 12, ASCII = 2;
 const BYTES = { [ASCII]: 1, [SHORT]: 2, [LONG]: 4, [DOUBLE]: 8 };
 const PUT = { [ASCII]: "setUint8", [SHORT]: "setUint16", [LONG]: "setUint32", [DOUBLE]: "setFloat64" };
@@ -13,8 +15,28 @@ function geoKeysOf(crs, isGeographic) {
   return [1, 1, 0, keys.length, ...keys.flatMap(([key, value]) => [key, 0, 1, value])];
 }
 
-/** Return the parts of a GeoTIFF, little-endian, of what `Terrain.read` returned. */
-export function geoTiff(terrain, { heights, nRows, nCols, level, row, col }, isGeographic) {
+/**
+ * Return the value of voids in a file of heights: that of the terrain, or NaN, or the lowest one of integers that no
+ * valid sample has; null, where there are neither voids nor a value of the terrain.
+ */
+function voidValue({ nodata, dtype }, { heights, valid }) {
+  const isFloat = dtype.startsWith("float");
+  if (nodata !== null && (isFloat || storedNodata(nodata, dtype) !== null)) return nodata;
+  if (valid.every(Boolean)) return null;
+  if (isFloat) return NaN;
+  const taken = new Set(heights.filter((_, i) => valid[i]));
+  const lowest = dtype.startsWith("u") ? 0 : -(2 ** (8 * heights.BYTES_PER_ELEMENT - 1));
+  for (let k = 0; k < 2 ** (8 * heights.BYTES_PER_ELEMENT); k++) if (!taken.has(lowest + k)) return lowest + k;
+  throw new Error(`the part has voids and every value of ${dtype}, so none can mark voids: save it as PNG`);
+}
+
+/**
+ * Return { parts, nodata } of a GeoTIFF, little-endian, of what `Terrain.read` returned: what makes the file, and the
+ * value of its voids, null without one.
+ */
+export function geoTiff(terrain, { heights, valid, nRows, nCols, level, row, col }, isGeographic) {
+  const nodata = voidValue(terrain, { heights, valid });
+  const filled = nodata === null ? heights : heights.map((height, i) => (valid[i] ? height : nodata));
   const bytes = heights.BYTES_PER_ELEMENT;
   const [a, b, c, d, e, f] = terrain.transform(level);
   const [x, y] = [a * col + b * row + c, d * col + e * row + f];
@@ -29,7 +51,7 @@ export function geoTiff(terrain, { heights, nRows, nCols, level, row, col }, isG
     [34264, DOUBLE, [a, b, 0, x, d, e, 0, y, 0, 0, 0, 0, 0, 0, 0, 1]],
     ...(keys.length ? [[34735, SHORT, keys]] : []),
     ...(isPacked ? [[42112, ASCII, text(`<GDALMetadata>${item("scale", terrain.scale)}${item("offset", terrain.offset)}</GDALMetadata>`)]] : []),
-    ...(terrain.nodata === null ? [] : [[42113, ASCII, text(`${terrain.nodata}`.toLowerCase())]]),
+    ...(nodata === null ? [] : [[42113, ASCII, text(`${nodata}`.toLowerCase().replace("infinity", "inf"))]]),
   ];
   const directory = 8;
   let end = directory + 2 + 12 * tags.length + 4;
@@ -53,7 +75,7 @@ export function geoTiff(terrain, { heights, nRows, nCols, level, row, col }, isG
     if (at !== null) view.setUint32(entry + 8, at, true);
     values.forEach((value, k) => view[PUT[type]]((at ?? entry + 8) + k * BYTES[type], value, true));
   });
-  return [view.buffer, heights];
+  return { parts: [view.buffer, filled], nodata };
 }
 
 /**

@@ -2,6 +2,7 @@
 
 import { fromBlob } from "./geotiff/geotiff.js";
 import { storedNodata } from "./compare.js";
+import { METRES } from "./described.js";
 
 const KINDS = { 1: "uint", 2: "int", 3: "float" };
 /** Of ExtraSamples: what GDAL takes for alpha. */
@@ -9,8 +10,12 @@ const ALPHAS = [1, 2];
 const CHOOSE = "choose the raster that the file was made from";
 const IS_MASK = 4; // of NewSubfileType
 const IS_POINT = 2; // of GTRasterTypeGeoKey
-/** Of a pixel: how far corners may differ that were computed in another way. */
-const SAME_PIXEL = 1e-6;
+const SIZES = [8, 16, 32, 64];
+/** Names of Compression that geotiff.js reads as GDAL writes them. */
+const COMPRESSIONS = { 1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 50000: "ZSTD" };
+const NO_UNIT = /^(|unspecified|unknown|undefined|none|n\/a|-)$/i;
+/** CRSs without a vertical axis, which would give the heights a unit: they are named by a code, or a WKT in full. */
+const IS_FLAT = /^(EPSG:(4326|3857|2\d{3}|3[0-7]\d{2}|2[1-9]\d{3}|3[0-2]\d{3})|(?!.*(VERT|\bup\b)).*\[.*)$/is;
 
 export class Original {
   #image;
@@ -32,9 +37,10 @@ export class Original {
       }
     });
     const { nBands } = original;
-    if (!(band >= 1 && band <= nBands)) {
+    if (!(Number.isInteger(band) && band >= 1 && band <= nBands)) {
       throw new Error(`found band ${band}, expected 1${nBands > 1 ? ` to ${nBands}` : ", the only one"}`);
     }
+    original.#refuseUnreadable(band - 1, magic[0] === "M".charCodeAt(0));
     await original.#describe(band - 1);
     return original;
   }
@@ -50,6 +56,27 @@ export class Original {
   /** Rows that are decoded together. */
   get tileRows() { return this.#image.getTileHeight(); }
 
+  /** Refuse GeoTIFFs that geotiff.js reads wrong, or not at all. */
+  #refuseUnreadable(band, isBigEndian) {
+    const tag = (name) => this.#image.fileDirectory.getValue(name);
+    const refuse = (found, expected, options) => {
+      throw new Error(`found a GeoTIFF ${found}, expected ${expected}: convert it with gdal_translate ${options}, and choose the new file`);
+    };
+    const compression = tag("Compression") ?? 1;
+    if (!(compression in COMPRESSIONS)) {
+      const known = [...new Set(Object.values(COMPRESSIONS))].join(", ");
+      refuse(`of compression ${compression}`, `one of ${known}`, "-co COMPRESS=DEFLATE");
+    }
+    const [bits, predictor] = [this.#image.getBitsPerSample(band), tag("Predictor") ?? 1];
+    if (!SIZES.includes(bits) || (bits === 16 && this.#image.getSampleFormat(band) === 3)) {
+      const next = SIZES.find((size) => size > bits);
+      refuse(`of ${bits} bits per sample`, `${next}, which hold the same numbers`, `-co NBITS=${next}`);
+    }
+    if (isBigEndian && predictor > 1 && bits > 8) {
+      refuse(`of big-endian numbers with predictor ${predictor}`, "little-endian ones or no predictor", "-co ENDIANNESS=LITTLE");
+    }
+  }
+
   async #describe(band) {
     const image = this.#image;
     const told = (await image.getGDALMetadata(band)) ?? {};
@@ -60,6 +87,7 @@ export class Original {
     // geotiff.js takes infinities for NaN.
     const [, sign] = /^\s*([+-]?)inf/i.exec(image.fileDirectory.getValue("GDAL_NODATA") ?? "") ?? [];
     this.nodata = sign === undefined ? image.getGDALNoData() : Number(`${sign}Infinity`);
+    this.units = NO_UNIT.test((told.UNITTYPE ?? "").trim()) ? null : told.UNITTYPE.trim();
     this.scale = Number(told.SCALE ?? 1);
     this.offset = Number(told.OFFSET ?? 0);
     this.transform = this.#transform();
@@ -71,7 +99,7 @@ export class Original {
     let found = [1, 0, 0, 0, 1, 0];
     if (matrix) found = [0, 1, 3, 4, 5, 7].map((i) => matrix[i]);
     else if (scale && tie) {
-      found = [scale[0], 0, tie[3] - tie[0] * scale[0], 0, -scale[1], tie[4] + tie[1] * scale[1]];
+      found = [scale[0], 0, tie[3] - tie[0] * scale[0], 0, -Math.abs(scale[1]), tie[4] + tie[1] * Math.abs(scale[1])];
     }
     const [a, b, c, d, e, f] = found;
     const isPoint = this.#image.getGeoKeys()?.GTRasterTypeGeoKey === IS_POINT;
@@ -88,14 +116,20 @@ export class Original {
       return { isFatal: true, lines: [`found a GeoTIFF of ${this.dtype}, expected ${terrain.dtype} as in the .twz file: ${CHOOSE}`] };
     }
     const lines = [];
+    const metres = [this.units, terrain.units].map((name) => METRES[name?.toLowerCase()]);
+    if (this.units !== terrain.units && (metres[0] === undefined || metres[0] !== metres[1])
+      && (this.units !== null || IS_FLAT.test(terrain.crs ?? "[]"))) {
+      lines.push(`units is ${terrain.units ?? "none"}, the original's is ${this.units ?? "none"}`);
+    }
     for (const name of ["scale", "offset"]) {
       if (this[name] !== terrain[name]) lines.push(`${name} is ${terrain[name]}, the original's is ${this[name]}`);
     }
-    const [own, other] = [terrain.nodata, this.nodata].map((value) => (Number.isNaN(value) ? NaN : storedNodata(value, this.dtype)));
-    if (!Object.is(own, other)) lines.push(`nodata is ${terrain.nodata}, the original's is ${this.nodata}`);
+    const isFloat = this.dtype.startsWith("float");
+    const [own, other] = [terrain.nodata, this.nodata].map((value) => (isFloat && Number.isNaN(value) ? NaN : storedNodata(value, this.dtype)));
+    // -0 is 0, and NaN is NaN.
+    if (own !== other && !(own !== own && other !== other)) lines.push(`nodata is ${terrain.nodata}, the original's is ${this.nodata}`);
     const found = terrain.transform();
-    const far = SAME_PIXEL * Math.hypot(found[0], found[3]) / Math.max(this.nRows, this.nCols);
-    if (found.some((value, i) => !(Math.abs(value - this.transform[i]) <= far * (i % 3 === 2 ? Math.max(this.nRows, this.nCols) : 1)))) {
+    if (found.some((value, i) => value !== this.transform[i])) {
       lines.push(`the transform is ${found.join(", ")}, the original's is ${this.transform.join(", ")}`);
     }
     return { isFatal: false, lines };

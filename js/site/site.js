@@ -3,7 +3,7 @@
  * lies in the folder: it works offline and under a strict Content-Security-Policy.
  */
 import { add, list, map, show, source, started, state, terrains } from "../../static/page.js";
-import { withUnit } from "../../static/colours.js";
+import { roundedUp, withUnit } from "../../static/colours.js";
 import { Places } from "../map/places.js";
 import { open } from "../src/index.js";
 import { describe, factsOf, isInDegrees } from "./described.js";
@@ -22,7 +22,11 @@ const ON_MAP = {
 /** Places along each side of the map that are looked at for what is in view. */
 const N_LOOKED_AT = 33;
 const MOST_SAVED = 2 ** 26;
-/** By name: { from, terrain }, a File or URL and the promise of its `Terrain`. */
+/** Of meshes, where neither heights nor their bound tell. */
+const LEAST_TOLERANCE = 1e-3;
+/** Terrains that stay open: the newest ones. */
+const MOST_OPEN = 2;
+/** By name, the newest last: { from, terrain }, a File or URL and the promise of its `Terrain`; null: closed. */
 const opened = new Map();
 
 function say(id, message, isBad = false) {
@@ -48,7 +52,7 @@ async function openTerrain(from, name) {
     throw new Error(`${name} cannot be opened as a .twz file: ${message}`);
   });
   const described = describe(terrain, nameFor(name), terrains[0].ramps);
-  opened.set(described.name, { from, terrain });
+  keep(described.name, { from, terrain: Promise.resolve(terrain) });
   const isFile = from instanceof Blob;
   const bytes = isFile ? { size: from.size, read: (start, end) => from.slice(start, end).arrayBuffer() } : null;
   source.add({ name: described.name, url: isFile ? "" : new URL(from), described }, bytes);
@@ -84,13 +88,32 @@ function take(files) {
   });
 }
 
+/** Keep a terrain open, and close those that are not the newest. */
+function keep(name, entry) {
+  opened.delete(name);
+  opened.set(name, entry);
+  for (const old of [...opened.values()].slice(0, -MOST_OPEN)) {
+    old.terrain?.then((terrain) => terrain.close(), () => {}); // it may not have opened
+    old.terrain = null;
+  }
+}
+
 function current() {
   const { name } = state.terrain;
-  if (!opened.has(name)) {
-    const from = source.byName.get(name).url.href;
-    opened.set(name, { from, terrain: open(from) });
+  const entry = opened.get(name) ?? { from: source.byName.get(name).url.href, terrain: null };
+  entry.terrain ??= open(entry.from);
+  keep(name, entry);
+  return entry;
+}
+
+/** Return the file's name in a URL. */
+function nameIn(url) {
+  const name = new URL(url).pathname.split("/").at(-1);
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name; // its % do not stand for characters
   }
-  return opened.get(name);
 }
 
 async function shown({ detail: described }) {
@@ -100,8 +123,9 @@ async function shown({ detail: described }) {
   await saying("said", async () => {
     const terrain = await current().terrain;
     const root = await terrain.statedRoot();
+    const isVoid = terrain.hasVoids && !(await terrain.read(0, {}, { voids: "any" })).valid.some(Boolean);
     if (state.terrain !== described) return;
-    list("info", factsOf(terrain, root));
+    list("info", factsOf(terrain, root, isVoid));
     element("level").replaceChildren(...Array.from({ length: terrain.nLevels }, (_, k) => {
       const { nRows, nCols } = terrain.shape(k);
       return new Option(`${k}: ${nRows} × ${nCols}`, k);
@@ -110,7 +134,7 @@ async function shown({ detail: described }) {
   });
 }
 
-// What is drawn on the map: a new style drops it.
+// Lines and points on the map: a new style drops them.
 
 const drawn = { mesh: null, worst: null };
 
@@ -190,14 +214,16 @@ async function save() {
   }
   const found = await terrain.read(level, window);
   const format = element("format").value;
-  const parts = format === "tif" ? geoTiff(terrain, found, isInDegrees(terrain)) : await png(terrain, found);
+  const { parts, nodata } = format === "tif" ? geoTiff(terrain, found, isInDegrees(terrain))
+    : { parts: await png(terrain, found), nodata: terrain.nodata };
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob(parts));
   link.download = `${name}.${format}`;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
   const isNamed = format !== "tif" || terrain.crs === null || /^EPSG:\d+$/.test(terrain.crs);
-  say("saved", `${link.download}: ${window.nRows} × ${window.nCols} samples${isNamed ? "" : ", without the CRS, which has no EPSG code"}`);
+  say("saved", `${link.download}: ${window.nRows} × ${window.nCols} samples${isNamed ? "" : ", without the CRS, which has no EPSG code"}`
+    + (Object.is(nodata, terrain.nodata) ? "" : `; voids are ${nodata}, which the file declares as nodata`));
 }
 
 // The mesh.
@@ -211,10 +237,10 @@ async function meshView() {
   await saying("meshed", async () => {
     const [west, south, east, north] = boundsInView();
     say("meshed", "Reading …");
-    const { known, error, terrainError } =
+    const { known } =
       await source.maker.ask(source.byName.get(state.terrain.name), "surface", [[west, south, east, north], SIDE]);
     if (mine !== wanted) return;
-    surface = { mesh: mesher(known), west, south, east, north, others: error + (terrainError ?? 0) };
+    surface = { mesh: mesher(known), west, south, east, north };
     showMesh();
   });
 }
@@ -222,18 +248,21 @@ async function meshView() {
 function showMesh() {
   if (!surface) return;
   const { lowest, highest, error } = state.terrain;
-  const [least, most] = [Math.max(error, (highest - lowest) / 1e4) / 4, (highest - lowest) / 5];
+  const least = Math.max(error, (highest - lowest) / 1e4) / 4 || LEAST_TOLERANCE;
+  const most = Math.max((highest - lowest) / 5, least);
   const tolerance = least * (most / least) ** (Number(element("coarseness").value) / 100);
-  const { mesh, west, south, east, north, others } = surface;
-  const { lines, nTriangles, error: measured } = mesh(tolerance);
+  const { mesh, west, south, east, north } = surface;
+  const { lines, nTriangles, error: measured, nOutside } = mesh(tolerance);
   const place = ([col, row]) => [west + ((east - west) * col) / (SIDE - 1), north - ((north - south) * row) / (SIDE - 1)];
-  const written = (number) => withUnit(Number(number.toPrecision(3)), state.terrain);
+  const written = (number) => withUnit(roundedUp(number, 3), state.terrain);
   element("tolerance").value = written(tolerance);
   const data = { ...LINES, geometry: { ...LINES.geometry, coordinates: lines.map((line) => line.map(place)) } };
   draw("mesh", data);
-  say("meshed", `${nTriangles.toLocaleString("en")} triangles, at most ${written(measured)} from the ${SIDE} × ${SIDE}`
-    + ` heights of the view, and ${written(measured + others)} from the original.`
-    + (lines.length || !nTriangles ? "" : " They are too many to draw: move closer, or raise the tolerance."));
+  const outside = nOutside ? ` ${nOutside.toLocaleString("en")} valid samples at voids are outside of the mesh.` : "";
+  say("meshed", (nTriangles
+    ? `${nTriangles.toLocaleString("en")} triangles, at most ${written(measured)} from the heights of the view under them, at ${SIDE} × ${SIDE} places.`
+    : "No triangle lies between valid samples.")
+    + outside + (lines.length || !nTriangles ? "" : " They are too many to draw: move closer, or raise the tolerance."));
 }
 
 // Prove.
@@ -266,23 +295,28 @@ async function startProof() {
   };
   const report = await saying("proved", async () =>
     prove({ twz: from, tif, band: Number(element("band").value) }, onProgress, signal));
-  if (signal.aborted && described === state.terrain && !report) say("proved", "Cancelled.");
+  if (signal.aborted && signal === proof.signal && described === state.terrain && !report) say("proved", "Cancelled.");
   if (signal === proof.signal) element("progress").hidden = element("cancel").hidden = true;
   if (!report || signal.aborted) return;
   await showProof(await terrain, described, report);
 }
 
-async function showProof(terrain, described, { nValid, maxError, rmse, worst, bars, problems, stated, root }) {
+async function showProof(terrain, described, { nValid, maxError, rmse, worst, bars, problems, stated, root, isSideUnknown }) {
   const inUnits = (number) => withUnit(Number(number.toPrecision(4)), { units: terrain.units });
-  say("proved", problems.length
-    ? "Not proved. Found:"
-    : `Proved: all ${nValid.toLocaleString("en")} samples are within ${inUnits(terrain.effectiveBound)} of the original.`, problems.length > 0);
+  const atMost = (number) => withUnit(roundedUp(number, 4), { units: terrain.units });
+  const side = isSideUnknown ? " The side of the bound was not checked: the page cannot tell if the CRS counts depths. `terrainwave verify` can." : "";
+  const all = nValid ? `all ${nValid.toLocaleString("en")} samples are within ${atMost(terrain.effectiveBound)} of the original.`
+    : "all samples are void in both.";
+  say("proved", (problems.length ? "Not proved. Found:" : `Proved: ${all}`) + side, problems.length > 0);
   element("problems").replaceChildren(...problems.map((problem) =>
     Object.assign(document.createElement("li"), { textContent: problem })));
-  const scale = ({ original, decoded }) => [original, decoded].map((raw) => inUnits(raw * terrain.scale + terrain.offset));
-  const [one, other] = worst ? scale(worst) : [];
+  const heights = worst ? [worst.original, worst.decoded].map((raw) => raw * terrain.scale + terrain.offset) : [];
+  // As many digits as tell them apart by their error.
+  const digits = [4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16].find((n) =>
+    heights.every((height) => Math.abs(Number(height.toPrecision(n)) - height) <= maxError / 100)) ?? 17;
+  const [one, other] = heights.map((height) => withUnit(Number(height.toPrecision(digits)), terrain));
   list("proof", [
-    ["Largest error", worst ? `${inUnits(maxError)} at row ${worst.row}, column ${worst.col}: ${other} for ${one}` : "0: all samples are equal"],
+    ["Largest error", worst ? `${atMost(maxError)} at row ${worst.row}, column ${worst.col}: ${other} for ${one}` : "0: all samples are equal"],
     ["Root mean square error", inUnits(rmse)],
     ["Root of the decoded heights", root],
     ["Root that the file states", stated === null ? "none" : stated === root ? "the same" : stated],
@@ -306,7 +340,7 @@ function showBars(bars, inUnits) {
     for (const [name, value] of Object.entries(sides)) bar.setAttribute(name, value);
     return bar;
   }));
-  const [low, high] = [bars[0].from, bars.at(-1).from];
+  const [low, high] = [bars[0].from, bars.at(-1).to];
   const middle = bars[(bars.length - 1) / 2].n;
   element("bars").ariaLabel = `Histogram of decoded minus original, ${inUnits(low)} to ${inUnits(high)}: ${middle} samples around 0, at most ${most} in a bar`;
   const written = bars.length > 1 ? [inUnits(low), "decoded − original", inUnits(high)] : ["0"];
@@ -331,7 +365,7 @@ function connect() {
   element("fetching").addEventListener("submit", (event) => {
     event.preventDefault();
     const url = element("url").value;
-    saying("said", () => openTerrain(url, decodeURIComponent(new URL(url).pathname.split("/").at(-1))));
+    saying("said", () => openTerrain(url, nameIn(url)));
   });
   element("save").addEventListener("click", () => saying("saved", save));
   element("original").addEventListener("change", ({ target }) => { element("prove").disabled = !target.files.length; });

@@ -25,6 +25,8 @@ const KEPT_OF_PARTS = 2 ** 24;
 const SAMPLES_AT_ONCE = 2 ** 17;
 /** Memory that waits for another file: to get it from the system takes as long as to decode a small one. */
 const MOST_SPARE = 2 ** 26;
+/** Samples on a side of a tile that has a digest (FORMAT.md §4.9), at most. */
+const SIDE_OF_DIGESTS = 512;
 let spare = null; // what a decoder exports whose file was closed
 
 /** Return the bytes of a range out of what came, { start, bytes } of each, or where what is missing begins. */
@@ -52,7 +54,7 @@ export class Core {
   #array; // of heights
   #cacheBytes;
 
-  /** Whether the decoder broke off: what lies in its memory may be anything. */
+  /** True after the decoder broke off: its memory may hold anything. */
   isBroken = false;
 
   /** Begin a file of `size` bytes, of which `cacheBytes` of decoded units are kept. */
@@ -217,13 +219,24 @@ export class Core {
 
   /** Return the digest of a tile of heights and their validity (FORMAT.md §4.9). */
   digest({ heights, valid, nRows, nCols }) {
+    const isSide = (n) => Number.isInteger(n) && n > 0 && n <= SIDE_OF_DIGESTS;
+    if (!isSide(nRows) || !isSide(nCols)) {
+      throw new ArgumentError(`found a tile of ${nRows} x ${nCols} samples, expected 1 to ${SIDE_OF_DIGESTS} on each side`);
+    }
+    const kinds = { heights: [heights, this.#array], valid: [valid, Uint8Array] };
+    for (const [name, [found, Kind]] of Object.entries(kinds)) {
+      if (found instanceof Kind && found.length === nRows * nCols) continue;
+      throw new ArgumentError(`found ${name} of ${found?.length} values (${found?.constructor.name}), expected a`
+        + ` ${Kind.name} of ${nRows} x ${nCols}`);
+    }
     this.#give(heights, valid);
-    this.#call("digest_given", nRows, nCols);
+    this.#do("digest_given", nRows, nCols);
     return this.#view(Uint8Array, this.#call("digest_at"), 32).slice();
   }
 
   /** Return the root of the digests of all tiles, row by row. */
   rootOf(digests) {
+    if (!(digests instanceof Uint8Array)) throw new ArgumentError(`found digests ${digests}, expected a Uint8Array`);
     this.#give(digests);
     this.#do("root_of_given", digests.length);
     return this.#root();

@@ -10,7 +10,7 @@ export class Mailbox {
     this.#errorOf = errorOf;
   }
 
-  /** How many questions wait for an answer. */
+  /** Number of questions that wait for an answer. */
   get size() {
     return this.#asked.size;
   }

@@ -21,7 +21,7 @@ const SIDE = 2048;
 const PARTS_AT_ONCE = 3;
 /** Smaller windows are read here: workers take their time to start. */
 const FEWEST_UNITS_FOR_WORKERS = 3;
-/** What heights can be, by FORMAT.md §4.2. */
+/** Meanings of the numbers, by FORMAT.md §4.2. */
 const KINDS = ["height", "depth", "radius"];
 /** Where nobody asked for workers, they start with a window that takes longer than they need to start. */
 const FEWEST_SAMPLES_TO_START = 2 ** 21;

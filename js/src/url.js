@@ -23,7 +23,7 @@ const MAY_EXPIRE = [400, 401, 403];
 const MOST_WORDS = 4096;
 const SIGNATURES = ["x-amz-signature", "x-goog-signature", "signature", "sig"];
 const TELLS_EXPIRY = /expired|not valid in the specified time frame/i;
-/** What Node says of servers that asking again does not help with; browsers do not say. */
+/** Codes of Node for servers that asking again does not help with; browsers have none. */
 const LASTING = /^(ENOTFOUND|EAI_|ECONNREFUSED|CERT_|ERR_TLS|DEPTH_ZERO|SELF_SIGNED|UNABLE_TO)/;
 
 export class UrlSource {

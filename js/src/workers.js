@@ -88,7 +88,7 @@ export class WorkerPool {
     return pool;
   }
 
-  /** Whether one of them failed, so that none is asked any more. */
+  /** True after one of them failed: none is asked any more. */
   get isBroken() {
     return this.#failure !== null;
   }

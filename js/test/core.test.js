@@ -29,6 +29,22 @@ test("pages that forbid WebAssembly are told which header to send, old browsers 
   assert.ok((await load()) instanceof WebAssembly.Module); // another try
 });
 
+test("it refuses to digest a tile that is too large, or was not given, whoever asks", async () => {
+  const bytes = await golden("rapid-int16-halves");
+  const { exports } = await WebAssembly.instantiate(await loadModule());
+  const numbers = () => new Float64Array(exports.memory.buffer, exports.numbers(), 2);
+  assert.equal(exports.begin_file(bytes.length, 2 ** 20, 2 ** 24), 0);
+  while (exports.file_need() > 0) {
+    const [start, length] = numbers();
+    const at = exports.room_for(length);
+    new Uint8Array(exports.memory.buffer, at, length).set(bytes.subarray(start, start + length));
+    assert.equal(exports.feed_file(start, length), 0);
+  }
+  exports.room_for(3 * 512 * 512);
+  assert.equal(exports.digest_given(512, 512), 0);
+  for (const shape of [[513, 1], [1, 513], [2 ** 31, 2]]) assert.equal(exports.digest_given(...shape), 5);
+});
+
 /** A decoder that begins files, and traps where it is asked what it needs. */
 function trapping() {
   const name = (text) => [text.length, ...Buffer.from(text)];

@@ -175,6 +175,18 @@ test("a newer version and features are unsupported, other bytes are corrupt", as
   await assert.rejects(open(bytes), CorruptStreamError);
 });
 
+test("a tile is digested only if its sides and arrays fit, and what is read later is right", async () => {
+  const terrain = await open(await golden("rapid-int16-halves"), { workers: 0 });
+  const { heights } = await terrain.read();
+  const tile = (nRows, nCols, n = nRows * nCols) => ({ nRows, nCols, heights: new Int16Array(n), valid: new Uint8Array(n) });
+  assert.equal((await terrain.digest(tile(512, 512))).length, 32);
+  const wrong = [tile(513, 1), tile(1, 600000), tile(0, 4), tile(1.5, 2), tile(-1, -1), tile(4, 4, 15), tile(4, 4, 17),
+    { ...tile(4, 4), heights: new Float64Array(16) }, { ...tile(4, 4), valid: new Uint8Array(3) }, { nRows: 4, nCols: 4 }];
+  for (const one of wrong) await assert.rejects(terrain.digest(one), (error) => error instanceof ArgumentError && /expected/.test(error.message));
+  await assert.rejects(terrain.rootOf([1, 2]), ArgumentError);
+  assert.deepEqual((await terrain.read()).heights, heights);
+});
+
 test("samples at centres are the heights, halfway their mean, NaN outside", async () => {
   const terrain = await open(await golden("rapid-int16-halves"));
   const [a, b, c, d, e, f] = terrain.transform();

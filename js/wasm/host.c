@@ -180,9 +180,13 @@ EXPORT(digest_at) const uint8_t *digest_at(void) { return digest; }
 EXPORT(root_at) const char *root_at(void) { return root; }
 
 /* Digest what was given: heights of the file's dtype, at most 512 x 512, and their validity behind them. */
-EXPORT(digest_given) void digest_given(uint32_t n_rows, uint32_t n_cols) {
-  size_t n = (size_t)n_rows * n_cols;
-  root_tile(file->header.dtype, given, given + n * twz_file_info(file)->dtype_bytes, n_rows, n_cols, digest);
+EXPORT(digest_given) int digest_given(uint32_t n_rows, uint32_t n_cols) {
+  size_t n = (size_t)n_rows * n_cols, size = twz_file_info(file)->dtype_bytes;
+  if (n_rows > ROOT_TILE || n_cols > ROOT_TILE || n * (size + 1) > n_given)
+    return twz_fail(&error, TWZ_BAD_ARGUMENT, "found a tile of %u x %u heights, expected at most %d x %d, all of them given",
+                    (unsigned)n_rows, (unsigned)n_cols, ROOT_TILE, ROOT_TILE);
+  root_tile(file->header.dtype, given, given + n * size, n_rows, n_cols, digest);
+  return TWZ_OK;
 }
 
 /* Make the root of n bytes that were given: digests of all tiles of 512 x 512, row by row. */

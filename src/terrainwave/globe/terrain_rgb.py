@@ -150,7 +150,8 @@ def look_of(
     round_by_zoom : bool
         Round heights to larger steps on coarser zooms: the encoding's step times the largest power
         of two that is at most the file's bound on the finest zoom, twice as much on each coarser
-        one, and at most 1/64 of a pixel's size on the ground in the terrain's middle.
+        one, and at most 1/64 of a pixel's size on the ground in the terrain's middle; at least
+        the encoding's own step, whatever the bound and the pixels.
 
     Raises
     ------

@@ -80,7 +80,8 @@ from terrainwave.names import TILE_ENCODINGS, TILE_IMAGES
     "--round-by-zoom",
     is_flag=True,
     help="For .pmtiles: round heights to steps of at most the file's bound on the finest zoom,"
-    " twice as much on each coarser one, and at most 1/64 of a pixel on the ground.",
+    " twice as much on each coarser one, and at most 1/64 of a pixel on the ground; or to the"
+    " encoding's step, if that is larger.",
 )
 @VERTICAL_OPTION
 @click.option("--attribution", default="", help="Owner of the data, for the metadata.")

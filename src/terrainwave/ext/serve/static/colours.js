@@ -50,6 +50,13 @@ export function written(height, range) {
   return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0").replace("-", "−")}`;
 }
 
+/** Return a bound in so many digits, none of which make it smaller by more than the noise of floats. */
+export function roundedUp(number, digits) {
+  const near = Number(number.toPrecision(digits));
+  if (!(near < number * (1 - 1e-12))) return near;
+  return Number((near + 10 ** (Math.floor(Math.log10(number)) + 1 - digits)).toPrecision(digits));
+}
+
 /** Return a number with the unit of a terrain's heights, or alone where nobody knows it. */
 export function withUnit(number, { units }) {
   return units ? `${number} ${units}` : `${number}`;

@@ -26,7 +26,8 @@ export function open(maplibre, terrains, maker) {
 
     /** Return [what it is for, address] of all that can be had of a terrain. */
     addressesOf: ({ name }) => [
-      ["The file: terrainwave.open", byName.get(name).url.href],
+      // A file of the page's visitor has none.
+      ...(byName.get(name).url ? [["The file: terrainwave.open", byName.get(name).url.href]] : []),
       ["Module: MapLibre", new URL("terrainwave/map/maplibre.js", document.baseURI).href],
       ["Module: CesiumJS", new URL("terrainwave/map/cesium.js", document.baseURI).href],
     ],

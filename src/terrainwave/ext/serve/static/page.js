@@ -5,7 +5,7 @@
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl, addProtocol, setWorkerUrl } from "./maplibre/maplibre-gl.js";
-import { gradientOf, reliefOf, stopsOf, ticksOf, withUnit, written } from "./colours.js";
+import { gradientOf, reliefOf, roundedUp, stopsOf, ticksOf, withUnit, written } from "./colours.js";
 import { copyable } from "./copying.js";
 import { homeOf, isNarrow } from "./home.js";
 import * as host from "./host.js";
@@ -167,7 +167,7 @@ export function list(id, entries) {
 }
 
 function describe(terrain) {
-  const error = Number(terrain.error.toPrecision(3));
+  const error = roundedUp(terrain.error, 3);
   const strong = document.createElement("strong");
   strong.textContent = `± ${withUnit(error, terrain)}`;
   element("about").replaceChildren(
@@ -254,7 +254,7 @@ async function askHeight(lngLat, what = "") {
       const { height, max_error: error } = answer;
       told = height === null ? "no height here"
         : `${withUnit(height.toFixed(2), terrain)}`
-          + ` (± ${withUnit(Number(error.toPrecision(3)), terrain)})`;
+          + ` (± ${withUnit(roundedUp(error, 3), terrain)})`;
     }
   } catch { /* said below, or aborted */ }
   if (signal.aborted) return;
