@@ -94,7 +94,9 @@ COMMANDS = [
 )
 def test_commands_do_their_work_with_closed_streams(tmp_path, dem, twz, streams, command):
     paths = [tmp_path / name if "." in str(name) else name for name in command[1:]]
-    paths = [tmp_path / name if name in ("out", "site", "page", "tiles") else name for name in paths]
+    paths = [
+        tmp_path / name if name in ("out", "site", "page", "tiles") else name for name in paths
+    ]
     plain = run(command[0], *paths)
     made = [path for path in tmp_path.iterdir() if path.name not in ("dem.tif", "dem.twz")]
     for path in made:
