@@ -1,4 +1,4 @@
-"""Which blocks have meshes, and the codes of their errors, without making any mesh."""
+"""Blocks that have meshes, and the codes of their errors, without making any mesh."""
 
 import math
 from collections.abc import Iterable, Mapping

@@ -189,7 +189,8 @@ def _coded(
         counts = np.zeros((N_TABLES, N_SYMBOLS), dtype=np.int64)
         if not valid.any():  # fills alone, which may be far from all heights
             return coder, counts
-        (low, high), is_full = (int(whole.min()), int(whole.max())), bool(valid.all())
+        low, high = int(whole.min()), int(whole.max())
+        is_full = bool(valid.all())
         above = np.ascontiguousarray(whole[:: 1 << N_LEVEL_CLASSES, :: 1 << N_LEVEL_CLASSES])
         for depth in range(N_LEVEL_CLASSES - 1, -1, -1):
             part = np.s_[:: 1 << depth, :: 1 << depth]
