@@ -16,10 +16,12 @@ import matplotlib as mpl
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+import rasterio
 from PIL import Image
 
 from benchmarks import codecs, common, tables
 from benchmarks.peers import make_codecs
+from benchmarks.tables import COGS
 
 # Codecs that share a CSV: names for `make_codecs`, and our methods.
 FAMILIES = {
@@ -27,10 +29,14 @@ FAMILIES = {
     "rapid": (["terrainwave"], ["rapid"]),
     "cdf97": (["terrainwave"], ["cdf97"]),
     "peers": (
-        ["sperr", "sz3", "sz3-interp", "jxl-e9", "cog", "cog-float32", "cog-zstd"], [],
+        ["sperr", "sz3", "sz3-interp", "jxl-e9", "jxl-e1", "lerc", *COGS], [],
+    ),
+    "fine": (
+        ["cog", "cog-float32", "cog-bare", "cog-float32-bare", "cog-steps-zstd",
+         "cog-steps-zstd-bare", "cog-steps-deflate", "jxl-e9", "terrainwave"], ["rapid"],
     ),
     "speeds": (
-        ["sperr", "sz3", "jxl-e7", "cog", "cog-float32", "cog-zstd", "terrainwave"],
+        ["sperr", "sz3", "jxl-e7", "jxl-e1", "lerc", *COGS, "terrainwave"],
         ["rapid+", "rapid", "predictive", "predictive-best", "cdf97"],
     ),
 }  # fmt: skip
@@ -98,6 +104,15 @@ def draw(curves: Curves, results: Path) -> None:
         picture.save(common.IMAGES / "rates.png", optimize=True)
 
 
+def floats(paths: Iterable[Path]) -> list[Path]:
+    """Return the rasters whose heights are floats."""
+    found = []
+    for path in paths:
+        with rasterio.open(path) as dataset:
+            found += [path] if dataset.dtypes[0].startswith("float") else []
+    return found
+
+
 @common.command()
 @common.rasters_argument
 @common.choices_option("--only", "parts", of=FAMILIES)
@@ -108,9 +123,14 @@ def main(paths, parts, again, fast, bounds, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
     common.pin_to_cores()
     for part in again:
-        if part == "speeds" and fast:
-            # Slow codecs have a COG of their own.
-            common.keep_rows(out / "speeds.csv", lambda row: row["is_slow"] == "True")
+        if part == "speeds":
+            # Other processors' rows stay; slow codecs have a COG of their own.
+            common.keep_rows(
+                out / "speeds.csv",
+                lambda row: (
+                    row["processor"] != common.processor() or (fast and row["is_slow"] == "True")
+                ),
+            )
         else:
             (out / f"{part}.csv").unlink(missing_ok=True)
     rows = []
@@ -120,7 +140,8 @@ def main(paths, parts, again, fast, bounds, folder, out) -> None:
             own = [codec for codec in own if not (fast and codec.name.startswith(codecs.SLOW))]
             common.write_rows(file, codecs.measure_speeds(paths, out, own), append=True)
             continue
-        cases = codecs.measure_missing(paths, own, bounds, codecs.read_cases(file))
+        chosen, of = (paths, bounds) if part != "fine" else (floats(paths), codecs.FINE)
+        cases = codecs.measure_missing(chosen, own, of, codecs.read_cases(file))
         rows += common.write_rows(file, cases, append=True)
     for document in tables.write_all(out):
         click.echo(f"wrote {document}")

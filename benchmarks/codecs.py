@@ -15,11 +15,13 @@ from benchmarks.peers import Codec, stored_size
 from benchmarks.rasters import Forms, Raster, load_raster, make_forms, with_nan, without_nan
 
 BOUNDS = (0.0, 0.1, 0.5, 1.0, 3.0, 10.0)  # of all that docs/benchmarks.md compares
+# Bounds of rasters of floats, which lidar is kept within.
+FINE = (0.001, 0.01, 0.05, 0.1)
 # Speeds are of rasters of so many samples; larger ones take JPEG XL too long.
 SPEED_SAMPLES = 1_000_000, 20_000_000
 SPEED_BOUNDS = 0.0, 1.0, 10.0
 # Slow codecs take turns among themselves and with a COG, so that the others are run more often.
-SLOW = ("sperr", "jxl", "terrainwave-predictive", "terrainwave-cdf97")
+SLOW = ("sperr", "jxl-e7", "terrainwave-predictive", "terrainwave-cdf97")
 SPEED_RUNS = {False: 5, True: 1}
 NOT_POSSIBLE = "not possible"
 OWN_MASK = "own mask"
@@ -38,10 +40,11 @@ Errors = namedtuple("Errors", "measured_error rmse problem")
 # One setting of a codec: which fill, which margin, what came of it.
 Trial = namedtuple("Trial", "codec max_error raster fill margin stored n_bytes errors")
 # One line of ``speeds.csv``; speeds in 10^6 samples/s of processor time, on one thread. The codecs
-# of a raster, a bound and a value of `is_slow` took turns.
+# of a raster, a bound, a value of `is_slow` and a processor took turns.
 SpeedRow = namedtuple(
     "SpeedRow",
-    "raster max_error codec is_slow n_samples bits_per_sample encode_speed decode_speed n_runs",
+    "raster max_error codec is_slow n_samples bits_per_sample encode_speed decode_speed n_runs "
+    "processor",
 )
 
 
@@ -168,8 +171,12 @@ def measure_missing(
 def measure_speeds(
     paths: Sequence[Path], results: Path, codecs: Sequence[Codec]
 ) -> Iterator[SpeedRow]:
-    """Yield the speeds that ``speeds.csv`` lacks."""
-    done = {case[:2] for case in read_cases(results / "speeds.csv") if case[2] == codecs[-1].name}
+    """Yield the speeds on this processor that ``speeds.csv`` lacks."""
+    done = {
+        (row["raster"], row["max_error"])
+        for row in common.read_rows(results / "speeds.csv")
+        if (row["codec"], row["processor"]) == (codecs[-1].name, common.processor())
+    }
     for raster in map(load_raster, paths):
         if not SPEED_SAMPLES[0] <= raster.heights.size <= SPEED_SAMPLES[1]:
             continue
@@ -203,7 +210,7 @@ def _speeds(trials: Sequence[Trial], *, is_slow: bool) -> Iterator[SpeedRow]:
         yield SpeedRow(
             trial.raster.name, trial.max_error, trial.codec.name, is_slow, n,
             round(8 * trial.n_bytes / n, 5), round(n / encode.seconds / 1e6, 2),
-            round(n / decode.seconds / 1e6, 2), encode.n_runs,
+            round(n / decode.seconds / 1e6, 2), encode.n_runs, common.processor(),
         )  # fmt: skip
 
 

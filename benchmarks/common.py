@@ -3,8 +3,10 @@
 Imports little: what calls `run_and_measure` must stay small.
 """
 
+import ast
 import csv
 import functools
+import hashlib
 import json
 import math
 import os
@@ -15,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
@@ -33,6 +36,8 @@ RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
 # What Python is told to be the command.
 CLI = "from terrainwave.cli import main; main()"
+# The code that each CSV measures, by groups: paths, and names of CSVs.
+CODE = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))["code"]
 PACKAGES = (
     "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
     "numcodecs", "zfpy", "pcodec", "rioxarray", "pydelatin", "pymartini",
@@ -159,7 +164,7 @@ def write_rows(path: Path, rows: Iterable[Any], *, append: bool = False) -> list
         for row in rows:
             if not written:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                _write_machine(path.with_suffix(".json"), goes_on)
+                _write_machine(path, goes_on)
                 mode = "a" if goes_on else "w"
                 file = stack.enter_context(path.open(mode, newline="", encoding="utf-8"))
                 writer = csv.writer(file, lineterminator="\n")
@@ -173,8 +178,8 @@ def write_rows(path: Path, rows: Iterable[Any], *, append: bool = False) -> list
     return written
 
 
-def _write_machine(path: Path, goes_on: bool) -> None:
-    machine = describe_machine()
+def _write_machine(results: Path, goes_on: bool) -> None:
+    machine, path = describe_machine(results.stem), results.with_suffix(".json")
     if goes_on and path.exists():
         before = json.loads(path.read_text(encoding="utf-8"))
         earlier = before.pop("earlier", []) + ([before] if before != machine else [])
@@ -210,19 +215,20 @@ def _number(text: str) -> int | float | str:
 # --- the machine ---
 
 
-def describe_machine() -> dict[str, Any]:
-    """Return machine, versions and commit, ready for JSON; no host name, no paths."""
+def describe_machine(results: str = "") -> dict[str, Any]:
+    """Return machine, versions, commit and code for a CSV's JSON; no host name, no paths."""
     import rasterio
 
     installed = sorted(metadata.distributions(), key=lambda found: found.name)
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "n_cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "gdal": rasterio.__gdal_version__,
         "packages": {found.name: found.version for found in installed if found.name in PACKAGES},
         "commit": _commit(),
+        "code": code_of(results),
     }
 
 
@@ -234,7 +240,9 @@ def pin_to_cores(n_cores: int = 1) -> None:
         click.echo(f"cannot pin to {n_cores} of the cores here: some codecs may use more")
 
 
-def _processor() -> str:
+@functools.cache
+def processor() -> str:
+    """Return the name of this machine's processor."""
     try:
         names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
     except OSError:
@@ -253,6 +261,41 @@ def _commit() -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit.strip() + ("+" if changed else "")
+
+
+@functools.cache
+def code_of(results: str) -> str:
+    """Return a digest of the code that a CSV measures, by name; empty if `CODE` names none."""
+    digest = hashlib.sha256()
+    patterns = [
+        place for group in CODE.values() if results in group["csv"] for place in group["of"]
+    ]
+    for pattern in patterns:
+        for path in sorted(path for path in ROOT.glob(pattern) if path.is_file()):
+            digest.update(path.relative_to(ROOT).as_posix().encode())
+            digest.update(_code(path))
+    return digest.hexdigest()[:16] if patterns else ""
+
+
+@functools.cache
+def _code(path: Path) -> bytes:
+    """Return a file, if it is Python, C or JavaScript without what changes no result.
+
+    That is blank lines, lines of comments and docstrings.
+    """
+    if path.suffix not in (".py", ".c", ".h", ".js"):
+        return path.read_bytes()
+    text = path.read_text(encoding="utf-8")
+    lines = [line.strip() for line in text.splitlines()]
+    for node in ast.walk(ast.parse(text)) if path.suffix == ".py" else ():
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
+            node
+        ):
+            lines[node.body[0].lineno - 1 : node.body[0].end_lineno] = [""] * (
+                node.body[0].end_lineno - node.body[0].lineno + 1
+            )
+    comments = ("#",) if path.suffix == ".py" else ("//", "/*", "*")
+    return "\n".join(line for line in lines if line and not line.startswith(comments)).encode()
 
 
 # --- runs ---

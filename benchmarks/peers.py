@@ -105,20 +105,21 @@ class Terrainwave(Codec):
 
 
 class _Cog(Codec):
-    """A Cloud Optimized GeoTIFF with overviews, which GDAL makes of a GeoTIFF and reads.
+    """A Cloud Optimized GeoTIFF, which GDAL makes of a GeoTIFF and reads; with overviews, or bare.
 
     In the raster's own type, as its user makes it; or as float32 at the widened bound, which is
     smaller: LERC of integers quantises with 2 * max_error, where 2 * max_error + 1 would do.
     """
 
     def __init__(
-        self, folder: Path, *, compress: str = "LERC_ZSTD", as_float: bool = False
-    ) -> None:
-        self.name = "cog" + "-float32" * as_float + "-zstd" * (compress == "ZSTD")
+        self, folder: Path, name: str, *, compress: str = "LERC_ZSTD", as_float: bool = False,
+        overviews: str = "AUTO",
+    ) -> None:  # fmt: skip
+        self.name = name
         self.knows_voids = not as_float
         # Where a float is decoded a rounding beyond the bound.
         self.margins = (1.0, 0.999, 0.99, 0.95)
-        self._as_float, self._compress = as_float, compress
+        self._as_float, self._compress, self._overviews = as_float, compress, overviews
         self._source, self._target = (
             folder / f"{self.name}{end}" for end in ("-source.tif", ".tif")
         )
@@ -127,7 +128,7 @@ class _Cog(Codec):
         return self._as_float or not raster.is_integer
 
     def refuses(self, raster: Raster, max_error: float) -> str:
-        if self._compress == "ZSTD":
+        if self._compress != "LERC_ZSTD":
             return "lossless alone" if max_error else ""
         if self._as_float and not raster.quantum:
             return "the same as in the raster's own type"
@@ -141,8 +142,8 @@ class _Cog(Codec):
         if np.isnan(raster.heights).any():
             raster = replace(raster, nodata=math.nan)
         write_geotiff(raster, self._source)
-        options = {"COMPRESS": self._compress, "BLOCKSIZE": "512", "OVERVIEWS": "AUTO"}
-        if self._compress == "ZSTD":
+        options = {"COMPRESS": self._compress, "BLOCKSIZE": "512", "OVERVIEWS": self._overviews}
+        if self._compress != "LERC_ZSTD":
             options["PREDICTOR"] = "YES"
         else:
             error = repr(bound * margin)
@@ -157,6 +158,33 @@ class _Cog(Codec):
                 return source.read(1)
 
         return Calls(encode, decode, heights)
+
+
+class _CogOfSteps(_Cog):
+    """A lossless Cloud Optimized GeoTIFF of whole steps, with the step as the band's scale."""
+
+    def refuses(self, raster: Raster, max_error: float) -> str:
+        return "a bound alone" if max_error == 0 else ""
+
+    def takes_nan(self, raster: Raster) -> bool:
+        return False
+
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        void, dtype = -1, raster.heights.dtype
+        filled = np.where(raster.mask, raster.heights, raster.valid.min())
+        values, *quantizer = quantize_indices(replace(raster, heights=filled), max_error)
+        is_short = values[raster.mask].max(initial=0) < 1 << 15
+        steps = np.where(raster.mask, values, void).astype(np.int16 if is_short else np.int32)
+        whole = replace(raster, heights=steps, nodata=None if raster.mask.all() else void)
+
+        def heights(decoded: np.ndarray) -> np.ndarray:
+            found = dequantize_indices(decoded, *quantizer, dtype)
+            nodata = math.nan if raster.nodata is None else raster.nodata
+            return (
+                found if raster.mask.all() else np.where(decoded == void, dtype.type(nodata), found)
+            )
+
+        return super().calls(whole, 0, 1.0)._replace(heights=heights)
 
 
 # Codecs of integers: indices of the largest step that keeps the bound.
@@ -304,13 +332,45 @@ def sz3_interpolation(_folder: Path) -> Codec:
     return _FloatCodec("sz3-interp", pack, unpack)
 
 
+class _Lerc(Codec):
+    """LERC alone, of an array in the raster's own type."""
+
+    name = "lerc"
+    margins = (1.0, 0.999, 0.99, 0.95)
+
+    def __init__(self, _folder: Path) -> None:
+        import imagecodecs
+
+        self._library = imagecodecs
+
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        array, library = raster.heights, self._library
+        return Calls(
+            lambda: library.lerc_encode(array, level=max_error * margin),
+            library.lerc_decode, as_they_are,
+        )  # fmt: skip
+
+
 PEERS: dict[str, Callable[[Path], Codec]] = {
-    "sperr": sperr, "sz3": sz3, "sz3-interp": sz3_interpolation, "cog": _Cog,
+    "sperr": sperr, "sz3": sz3, "sz3-interp": sz3_interpolation, "lerc": _Lerc,
     "jxl-e9": lambda _folder: _JpegXl(9),
     "jxl-e7": lambda _folder: _JpegXl(7),
-    "cog-float32": lambda folder: _Cog(folder, as_float=True),
-    "cog-zstd": lambda folder: _Cog(folder, compress="ZSTD"),
+    # The encoder's fast mode for lossless images.
+    "jxl-e1": lambda _folder: _JpegXl(1),
 }  # fmt: skip
+# Kinds of Cloud Optimized GeoTIFFs, and their options.
+_BARE = {"overviews": "NONE"}
+_COGS: dict[str, tuple[type[_Cog], dict[str, Any]]] = {
+    "cog": (_Cog, {}),
+    "cog-float32": (_Cog, {"as_float": True}),
+    "cog-zstd": (_Cog, {"compress": "ZSTD"}),
+    "cog-bare": (_Cog, _BARE),
+    "cog-float32-bare": (_Cog, {"as_float": True} | _BARE),
+    "cog-steps-zstd": (_CogOfSteps, {"compress": "ZSTD"}),
+    "cog-steps-zstd-bare": (_CogOfSteps, {"compress": "ZSTD"} | _BARE),
+    "cog-steps-deflate": (_CogOfSteps, {"compress": "DEFLATE"}),
+}
+PEERS |= {name: partial(kind, name=name, **more) for name, (kind, more) in _COGS.items()}
 
 
 def make_codecs(names: Iterable[str], methods: Iterable[str], folder: Path) -> list[Codec]:

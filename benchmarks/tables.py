@@ -7,6 +7,7 @@ if a document does not say what its CSV says.
 """
 
 import itertools
+import json
 import math
 import re
 import tomllib
@@ -17,7 +18,7 @@ from typing import Any
 
 import click
 
-from benchmarks.common import RESULTS, ROOT, geometric_mean, read_rows
+from benchmarks.common import RESULTS, ROOT, code_of, geometric_mean, read_rows
 
 DOCUMENTS = [
     path.relative_to(ROOT).as_posix()
@@ -37,6 +38,7 @@ LARGE = 4_000_000  # samples from which speeds are in the row of large rasters
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 NUMBERS = TABLES.pop("numbers")
+del TABLES["code"]  # of `common`
 
 Row = dict[str, Any]
 Rows = list[Row]
@@ -77,7 +79,28 @@ def markdown(name: str, results: Path) -> str:
         values = sorted({row[field] for row in rows})
         notes[field] = ", ".join(v if isinstance(v, str) else f"{v:g}" for v in values)
     texts += ["", table["note"].format_map(notes)] if notes else []
-    return "\n".join(texts)
+    return "\n".join([*texts, "", *provenance(name, results)])
+
+
+def provenance(name: str, results: Path) -> list[str]:
+    """Return a line that says what measured a table, and whether the code has changed since."""
+    table = TABLES[name]
+    found: dict[str, list[str]] = defaultdict(list)
+    for one in table.get("csv", [table["rows"]]):
+        path = find(results, one).with_suffix(".json")
+        if not path.exists():
+            continue
+        about = json.loads(path.read_text(encoding="utf-8"))
+        machines = {line["processor"]: line for line in (*about.pop("earlier", []), about)}
+        measured = {row.get("processor") for row in read(results, one)} - {None} or set(machines)
+        for processor, machine in machines.items():
+            if processor in measured:
+                how = f"commit {machine['commit']} on {processor}"
+                if code_of(one) and machine.get("code") != code_of(one):
+                    how += "; **the code has changed since**"
+                found[how].append(f"`{one}.csv`")
+    measured_at = [f"{how} ({', '.join(names)})" for how, names in found.items()]
+    return [f"Measured at {' and '.join(measured_at)}."] if measured_at else []
 
 
 def numbers(name: str, results: Path) -> str:
@@ -142,14 +165,16 @@ class _Means(dict[str, float]):
 
 
 def read(results: Path, name: str, **derived: Callable[[Row], Any]) -> Rows:
-    """Return the rows of ``NAME.csv`` with fields derived from others; none if it is not there.
-
-    Those of scripts that are gone lie in ``archive``.
-    """
-    path = results / f"{name}.csv"
-    lines = read_rows(path if path.exists() else results / "archive" / path.name)
+    """Return the rows of ``NAME.csv`` with fields derived from others; none if it is not there."""
+    lines = read_rows(find(results, name))
     rows = [{key: Missing() if v == "" else v for key, v in line.items()} for line in lines]
     return [row | {name: make(row) for name, make in derived.items()} for row in rows]
+
+
+def find(results: Path, name: str) -> Path:
+    """Return where a CSV lies: among the results, or those of scripts that are gone."""
+    path = results / f"{name}.csv"
+    return path if path.exists() else results / "archive" / path.name
 
 
 def calculate(formula: str, row: Row) -> float | Missing:
@@ -272,7 +297,8 @@ def summarized_methods(results: Path) -> Rows:
 def speed_cases(results: Path) -> Rows:
     """Return each codec's speeds in each case, and over those of the COG it took turns with."""
     found: Rows = []
-    turns = pivot(read(results, "speeds"), ("raster", "max_error", "is_slow"), "codec")
+    by = "raster", "max_error", "is_slow", "processor"
+    turns = pivot(read(results, "speeds"), by, "codec")
     for turn in turns:
         lines = [row for name, row in turn.items() if "=" in name and is_measured(row)]
         (cog,) = (row for row in lines if row["codec"] == "cog")
@@ -292,23 +318,23 @@ def speed_cases(results: Path) -> Rows:
 
 
 def compared_speeds(results: Path) -> Rows:
-    """Return each codec's speeds by the size of rasters: geometric means, and the least."""
+    """Return each codec's mean and least speeds by processor and size of rasters."""
     found: dict[tuple, Row] = defaultdict(lambda: defaultdict(list))
     for row in speed_cases(results):
-        means = found[row["is_large"], row["codec"]]
+        means = found[row["is_large"], row["processor"], row["codec"]]
         for what in ("encode", "decode"):
             means[f"{what} {row['group']}"].append(row[f"{what}_speed"])
             means[f"{what} {row['group']} / COG"].append(row[f"{what} / COG"])
     fields = [f"{what} {group}{end}" for what in ("encode", "decode")
               for group in ("lossless", "lossy") for end in ("", " / COG", " least")]  # fmt: skip
     lines = []
-    for (is_large, codec), values in found.items():
+    for (is_large, processor, codec), values in found.items():
         least = {key.replace("/ COG", "least"): min(v) for key, v in values.items() if "/" in key}
         means = {key: geometric_mean(v) for key, v in values.items()}
-        line = {"codec": codec, "is_large": is_large}
+        line = {"codec": codec, "is_large": is_large, "processor": processor}
         line["rasters"] = "4 Mpx and more" if is_large else "1 to 4 Mpx"
         lines.append(dict.fromkeys(fields, Missing()) | line | means | least)
-    return sorted(lines, key=lambda line: not line["is_large"])
+    return sorted(lines, key=lambda line: (line["processor"], not line["is_large"]))
 
 
 def default_reads(results: Path) -> Rows:
@@ -326,7 +352,8 @@ def archives(results: Path) -> Rows:
     Each time is over that of the COG of its turns, which may be of another day.
     """
     cases = compared_codecs(results)
-    speeds = {(row["codec"], row["raster"], row["max_error"]): row for row in speed_cases(results)}
+    fields = "codec", "processor", "raster", "max_error"
+    speeds = {tuple(row[field] for field in fields): row for row in speed_cases(results)}
     found = []
     for codec, name in ((PREDICTIVE, "`--method predictive`"), (BEST, "`--effort best`")):
         sizes = [case[codec] / case[RAPID] for case in cases if is_measured(case[codec])]
@@ -334,8 +361,8 @@ def archives(results: Path) -> Rows:
         row |= {"least": min(sizes, default=0), "most": max(sizes, default=0)}
         for what in ("decode", "encode"):
             times = [
-                speeds[RAPID, raster, bound][f"{what} / COG"] / line[f"{what} / COG"]
-                for (other, raster, bound), line in speeds.items()
+                speeds[RAPID, *case][f"{what} / COG"] / line[f"{what} / COG"]
+                for (other, *case), line in speeds.items()
                 if other == codec
             ]
             row[what] = geometric_mean(times) if times else Missing()
@@ -359,14 +386,21 @@ _SHORT = (RAPID, "cog", "jxl-e9", "sz3", "sperr")  # in README's table, the firs
 
 
 def side_by_side(results: Path) -> Rows:
-    """Return sizes over the smallest COG's, and speeds on one thread.
+    """Return sizes over the smallest COG's, and speeds on one thread, on the slowest processor.
 
-    Sizes of all rasters; speeds of those of 4 Mpx and more.
+    Sizes of all rasters; speeds of those of 4 Mpx and more, and of others under names in "small".
     """
     sizes: dict[str, dict[tuple, float]] = defaultdict(dict)
     for row in size_rows(results, "rapid", "predictive", "peers"):
         sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
-    speeds = {row["codec"]: row for row in compared_speeds(results) if row["is_large"]}
+    speeds: dict[str, Row] = defaultdict(dict)
+    for line in compared_speeds(results):
+        least = speeds[line["codec"]]
+        for key, value in line.items():
+            name = key if line["is_large"] else f"small {key}"
+            if key.endswith(("/ COG", "least")):
+                before = least.get(name, value)
+                least[name] = min(value, before) if is_measured(value) else before
     if not (sizes and speeds):
         return []
     cogs = {
@@ -374,6 +408,8 @@ def side_by_side(results: Path) -> Rows:
     }
     found, shown = [], set[str]()
     for name, (codec, timed) in SIDE_BY_SIDE.items():
+        if not (codec in sizes and timed in speeds):
+            continue
         # As float32 alone is not another case: the raster's own type stands for it.
         known = sizes["cog"] | sizes[codec] if codec in COGS else sizes[codec]
         ratios = {case: size / cogs[case] for case, size in known.items() if case in cogs}
@@ -386,7 +422,33 @@ def side_by_side(results: Path) -> Rows:
             row |= {group: geometric_mean(values), f"{group} largest": max(values)}
         shown.add(codec)
         row["cases"] = len(ratios)
-        found.append(row | {key: value for key, value in speeds[timed].items() if " " in key})
+        found.append(row | speeds[timed])
+    return found
+
+
+def fine_cases(results: Path) -> Rows:
+    """Return bits per sample by codec of rasters of floats within fine bounds."""
+    cases = pivot(size_rows(results, "fine"), ("raster", "max_error"), "codec")
+    found = []
+    for case in cases:
+        row = {
+            key.removeprefix("codec="): value["bits_per_sample"]
+            for key, value in case.items()
+            if key.startswith("codec=")
+        }
+        ours = row[RAPID]
+        row["lerc"], row["lerc-bare"] = (
+            min(row[name] for name in (f"cog{end}", f"cog-float32{end}") if is_measured(row[name]))
+            for end in ("", "-bare")
+        )
+        bare = min(row["lerc-bare"], row["cog-steps-zstd-bare"])
+        whole = min(row["lerc"], row["cog-steps-zstd"], row["cog-steps-deflate"])
+        row |= {
+            "cog": ours / whole,
+            "bare": ours / bare,
+            "n_bytes": case[f"codec={RAPID}"]["n_bytes"],
+        }
+        found.append({"raster": case["raster"], "max_error": case["max_error"]} | row)
     return found
 
 

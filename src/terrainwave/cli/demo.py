@@ -40,7 +40,7 @@ def run_demo(
             sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
         n_bytes = original.stat().st_size
         rows = [_row(original, n_bytes, bound, progress) for bound in BOUNDS]
-        _draw(new)
+        _draw(new, n_bytes)
         with storage_errors(f"cannot write {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
             for path in new.iterdir():
@@ -82,16 +82,31 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
     return heights, info
 
 
-def _draw(folder: Path) -> None:
-    """Draw the original heights and those of the largest bound side by side."""
+def _draw(folder: Path, n_bytes: int) -> None:
+    """Draw the original, of `n_bytes`, the heights of the largest bound, and their errors."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10, 4.4), layout="constrained", dpi=110)
-    bounds = {0.0: "original", BOUNDS[-1]: f"decoded, every height within {BOUNDS[-1]:g} m"}
-    for axis, (bound, title) in zip(figure.subplots(1, 2), bounds.items(), strict=True):
-        with terrainwave.open(_file(folder, bound)) as terrain:
+    bound = BOUNDS[-1]
+    figure = Figure(figsize=(13.5, 4.4), layout="constrained", dpi=110)
+    axes = figure.subplots(1, 3)
+    decoded = _file(folder, bound)
+    titles = {
+        _file(folder, 0.0): f"original: GeoTIFF, {n_bytes:,} bytes",
+        decoded: f"every height within {bound:g} m: .twz, {decoded.stat().st_size:,} bytes",
+    }
+    heights = []
+    for axis, (path, title) in zip(axes, titles.items(), strict=False):
+        with terrainwave.open(path) as terrain:
             terrain.plot(axis)
+            heights.append(terrain.read().astype(np.int32))
         axis.set_title(title)
+    errors = heights[1] - heights[0]
+    metres, counts = np.unique(errors, return_counts=True)
+    axes[2].bar(metres, 100 * counts / errors.size, width=0.7)
+    axes[2].set(
+        title=f"errors: {metres[0]} to {metres[-1]} m, none beyond",
+        xlabel="decoded − original, m", ylabel="% of the heights",
+    )  # fmt: skip
     with storage_errors(f"cannot write {folder}"):
         figure.savefig(folder / "demo.png")
 
