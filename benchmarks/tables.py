@@ -3,7 +3,8 @@
 Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document, and the
 numbers of a sentence between ``<!-- number: NAME -->`` and the same end. They are made from CSVs
 under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing and exits 1
-if a document does not say what its CSV says.
+if a document does not say what its CSV says, or a sentence has a figure of neither a CSV nor
+``stated``, the settings and limits that pages name.
 """
 
 import itertools
@@ -38,6 +39,7 @@ LARGE = 4_000_000  # samples from which speeds are in the row of large rasters
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 NUMBERS = TABLES.pop("numbers")
+STATED = TABLES.pop("stated")
 del TABLES["code"]  # of `common`
 
 Row = dict[str, Any]
@@ -79,11 +81,11 @@ def markdown(name: str, results: Path) -> str:
         values = sorted({row[field] for row in rows})
         notes[field] = ", ".join(v if isinstance(v, str) else f"{v:g}" for v in values)
     texts += ["", table["note"].format_map(notes)] if notes else []
-    return "\n".join([*texts, "", *provenance(name, results)])
+    return "\n".join([*texts, *provenance(name, results)])
 
 
 def provenance(name: str, results: Path) -> list[str]:
-    """Return a line that says what measured a table, and whether the code has changed since."""
+    """Return lines that say what measured a table, and whether the code has changed since."""
     table = TABLES[name]
     found: dict[str, list[str]] = defaultdict(list)
     for one in table.get("csv", [table["rows"]]):
@@ -100,7 +102,7 @@ def provenance(name: str, results: Path) -> list[str]:
                     how += "; **the code has changed since**"
                 found[how].append(f"`{one}.csv`")
     measured_at = [f"{how} ({', '.join(names)})" for how, names in found.items()]
-    return [f"Measured at {' and '.join(measured_at)}."] if measured_at else []
+    return ["", f"Measured at {' and '.join(measured_at)}."] if measured_at else []
 
 
 def numbers(name: str, results: Path) -> str:
@@ -399,8 +401,8 @@ def side_by_side(results: Path) -> Rows:
         for key, value in line.items():
             name = key if line["is_large"] else f"small {key}"
             if key.endswith(("/ COG", "least")):
-                before = least.get(name, value)
-                least[name] = min(value, before) if is_measured(value) else before
+                both = [one for one in (value, least.get(name, value)) if is_measured(one)]
+                least[name] = min(both, default=Missing())
     if not (sizes and speeds):
         return []
     cogs = {
@@ -422,8 +424,22 @@ def side_by_side(results: Path) -> Rows:
             row |= {group: geometric_mean(values), f"{group} largest": max(values)}
         shown.add(codec)
         row["cases"] = len(ratios)
-        found.append(row | speeds[timed])
+        row |= speeds[timed]
+        row |= {"reads": row["decode lossy / COG"], "slowest_reads": row["decode lossy least"]}
+        found.append(row)
     return found
+
+
+def tile_bytes(results: Path) -> Rows:
+    """Return the kilobytes of a tile of SRTM, ours and of the smallest COG."""
+    rows = [row for row in size_rows(results, "rapid", "peers") if "aconcagua" in row["raster"]]
+    found: Row = {}
+    for name, bound in (("lossless", 0), ("bounded", 1)):
+        cases = [row for row in rows if row["max_error"] == bound]
+        for who, codecs in (("ours", (RAPID,)), ("cog", COGS)):
+            n_bytes = [row["n_bytes"] for row in cases if row["codec"] in codecs]
+            found[f"{who} {name}"] = min(n_bytes, default=math.nan) / 1000
+    return [rows[0] | found] if rows else []
 
 
 def fine_cases(results: Path) -> Rows:
@@ -490,6 +506,27 @@ def fill_in(text: str) -> str:
     return _SLOT.sub(make, text)
 
 
+# Pages of formats and of decisions, which are dated, are no pages of figures.
+PAGES = [
+    path.relative_to(ROOT).as_posix()
+    for path in (ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md")))
+    if path.parent.name != "decisions" and not path.name.lower().startswith("format")
+]
+_UNITS = (
+    "times (?:as|the|more|less|slower|faster|longer)|Msamples/s|[GM]i?B/s|ns|ms|bits per sample|"
+    "bits/sample|% of|(?:CPU|processor) seconds|[kMG]i?B|requests|triangles|seconds|s"
+)
+_FIGURE = re.compile(rf"(?<![\w.])\d[\d,.]* ?(?:{_UNITS})\b|\b0\.\d+ of\b")
+# Not prose: what CSVs fill in, code, tables.
+_NO_PROSE = re.compile(rf"{_SLOT.pattern}|```.*?```|`[^`]*`|^\|.*?$", re.DOTALL | re.MULTILINE)
+
+
+def figures_by_hand(page: str) -> list[str]:
+    """Return the figures of a page's sentences that neither a CSV fills in nor `STATED` names."""
+    text = _NO_PROSE.sub("", (ROOT / page).read_text(encoding="utf-8"))
+    return sorted(set(_FIGURE.findall(text)) - set(STATED.get(page, ())))
+
+
 def write_all(results: Path) -> list[str]:
     """Write ``bench.md``, and the documents if these are the repository's results."""
     text = "\n\n".join(markdown(name, results) for name in REPORTED) + "\n"
@@ -519,7 +556,12 @@ def main(check: bool) -> None:
         click.echo(
             f"{name}: {'a table or number is not what its CSV says' if check else 'written'}"
         )
-    raise SystemExit(check and bool(changed))
+    unknown = [f"{page}: {', '.join(found)}" for page in PAGES if (found := figures_by_hand(page))]
+    for line in unknown:
+        click.echo(
+            f"{line}: measured? Then let a CSV fill it in; else name it in tables.toml, stated"
+        )
+    raise SystemExit(check and bool(changed + unknown))
 
 
 if __name__ == "__main__":

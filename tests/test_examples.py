@@ -96,7 +96,9 @@ def test_commands_of_the_integrations_run(rasters):
 
 
 def test_tables_of_the_readme_are_those_of_the_results():
-    from benchmarks.tables import DOCUMENTS, fill_in
+    from benchmarks.tables import DOCUMENTS, PAGES, figures_by_hand, fill_in
+
+    assert {page: found for page in PAGES if (found := figures_by_hand(page))} == {}
 
     for name in DOCUMENTS:
         path = ROOT / name
