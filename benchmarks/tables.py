@@ -98,7 +98,9 @@ def provenance(name: str, results: Path) -> list[str]:
         for processor, machine in machines.items():
             if processor in measured:
                 how = f"commit {machine['commit']} on {processor}"
-                if code_of(one) and machine.get("code") != code_of(one):
+                if path.parent.name == "archive":
+                    how += "; **by a script that is gone**"
+                elif code_of(one) and machine.get("code") != code_of(one):
                     how += "; **the code has changed since**"
                 found[how].append(f"`{one}.csv`")
     measured_at = [f"{how} ({', '.join(names)})" for how, names in found.items()]
