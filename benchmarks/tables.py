@@ -383,6 +383,8 @@ SIDE_BY_SIDE = {
     "COG, LERC_ZSTD": ("cog", "cog"),
     "COG, LERC_ZSTD of float32": ("cog-float32", "cog-float32"),
     "JPEG XL": ("jxl-e9", "jxl-e7"),
+    "JPEG XL, fast mode": ("jxl-e1", "jxl-e1"),
+    "LERC alone": ("lerc", "lerc"),
     "SZ3": ("sz3", "sz3"),
     "SPERR": ("sperr", "sperr"),
 }
@@ -446,27 +448,20 @@ def tile_bytes(results: Path) -> Rows:
 
 def fine_cases(results: Path) -> Rows:
     """Return bits per sample by codec of rasters of floats within fine bounds."""
-    cases = pivot(size_rows(results, "fine"), ("raster", "max_error"), "codec")
     found = []
-    for case in cases:
-        row = {
-            key.removeprefix("codec="): value["bits_per_sample"]
-            for key, value in case.items()
-            if key.startswith("codec=")
+    for case in pivot(size_rows(results, "fine"), ("raster", "max_error"), "codec"):
+        bits = {
+            name.removeprefix("codec="): line["bits_per_sample"]
+            for name, line in case.items()
+            if "=" in name
         }
-        ours = row[RAPID]
-        row["lerc"], row["lerc-bare"] = (
-            min(row[name] for name in (f"cog{end}", f"cog-float32{end}") if is_measured(row[name]))
-            for end in ("", "-bare")
-        )
-        bare = min(row["lerc-bare"], row["cog-steps-zstd-bare"])
-        whole = min(row["lerc"], row["cog-steps-zstd"], row["cog-steps-deflate"])
-        row |= {
-            "cog": ours / whole,
-            "bare": ours / bare,
-            "n_bytes": case[f"codec={RAPID}"]["n_bytes"],
-        }
-        found.append({"raster": case["raster"], "max_error": case["max_error"]} | row)
+        least = lambda *names: min(bits[name] for name in names if is_measured(bits[name]))  # noqa: E731,B023
+        bits |= {"lerc": least("cog", "cog-float32")}
+        bits |= {"lerc-bare": least("cog-bare", "cog-float32-bare")}
+        smallest = least("lerc", "cog-steps-zstd", "cog-steps-deflate")
+        row = {"cog": bits[RAPID] / smallest, "n_bytes": case[f"codec={RAPID}"]["n_bytes"]}
+        row["bare"] = bits[RAPID] / least("lerc-bare", "cog-steps-zstd-bare")
+        found.append(case | bits | row)
     return found
 
 
