@@ -86,9 +86,6 @@ STEPS = pytest.mark.parametrize(
 )
 
 
-# Accidents: each is found
-
-
 def test_the_files_are_small_and_sound(data, expected):
     assert len(data) < 3000
     np.testing.assert_array_equal(expected[-1], HEIGHTS != -32768)
@@ -248,9 +245,6 @@ def test_extreme_numbers_that_are_legal_are_read(z_min, z_max, step):
     with Terrain(repaired(damaged), threads=1) as terrain:
         assert terrain.read().shape == (3, 4)
         assert terrain.info().minimum is not None
-
-
-# Sizes that are claimed and not there
 
 
 def claims(n_rows, n_cols, block=1024, dtype="int16"):

@@ -93,8 +93,6 @@ def test_what_is_imported_is_required_and_the_other_way_round():
     assert always <= imported <= always | optional | of_fastapi | hosts
 
 
-# Each command names the extra that has all it needs.
-
 COMMANDS = {
     "view": ("view", ["view", "TWZ"]),
     "render": ("view", ["render", "TWZ", "a.png"]),

@@ -85,9 +85,6 @@ class FullFile:
         return full_disk if name == "write" else getattr(self._file, name)
 
 
-# A full disk
-
-
 def test_a_full_disk_at_the_end_leaves_the_target_as_it_was(monkeypatch, target):
     # Network and delayed writes fail here first.
     monkeypatch.setattr("terrainwave.container.targets.publication.os.fsync", full_disk)
@@ -137,9 +134,6 @@ def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch
     assert_untouched(tiff)
 
 
-# A source that cannot be read
-
-
 @pytest.mark.parametrize("tiled", [False, True])
 def test_a_truncated_tiff_leaves_the_target_as_it_was(target, tmp_path, tiled):
     blocks = {"blockxsize": 64, "blockysize": 64} if tiled else {"blockysize": 8}
@@ -175,9 +169,6 @@ def test_heights_that_cannot_be_coded_leave_the_target_as_it_was(target):
     with pytest.raises(InvalidHeightsError):
         compress(heights, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
-
-
-# Interruption
 
 
 @pytest.mark.few(5)
@@ -259,9 +250,6 @@ def test_after_a_kill_the_target_is_as_it_was_and_the_next_run_cleans_up(stage, 
         assert np.abs(terrain.read().astype(int) - LARGE).max() <= 1
 
 
-# A decoder that is wrong
-
-
 def wrong_by(monkeypatch, change):
     """Make every decoder return units changed by `change`; encoders stay right."""
     decode = group.decode_unit
@@ -317,9 +305,6 @@ def test_an_error_exactly_at_the_bound_is_not_a_violation(monkeypatch, tmp_path)
     assert result.measured_error == 1
 
 
-# Spools
-
-
 def test_a_damaged_spool_is_noticed(tmp_path, monkeypatch, target, everything_on_disk):
     spill = SegmentSpool._spill
 
@@ -343,9 +328,6 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
     with pytest.raises(CorruptStreamError, match="group"):
         decompress(tmp_path / "bad.twz", tiff, overwrite=True)
     assert_untouched(tiff)
-
-
-# The trials of faults/, fewer of each: figures are in docs/reliability.md.
 
 
 @pytest.mark.full

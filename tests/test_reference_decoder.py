@@ -46,8 +46,6 @@ from terrainwave.reference.units import decode, decode_units, decode_with_own
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
 
-# Rasters ---------------------------------------------------------------------------------------
-
 
 def hills(rng, shape):
     """Return smooth relief of some hundreds with rough patches."""
@@ -365,9 +363,6 @@ def test_files_cut_to_a_rate_decode_as_format_says(rate):
     check_same(data)
 
 
-# Codes of blocks (§4.4) ------------------------------------------------------------------------
-
-
 @pytest.mark.large
 @pytest.mark.parametrize(("shape", "border_rings"), some([((140, 37), 1), ((5, 2100), 3)], 2))
 def test_boxes_and_errors_of_blocks_hold_as_format_says(shape, border_rings):
@@ -410,9 +405,6 @@ def test_boxes_and_errors_of_blocks_hold_as_format_says(shape, border_rings):
             if block[0] == 0:
                 break
             block = block[0] - 1, block[1] >> 1, block[2] >> 1
-
-
-# Tables and examples of the document -----------------------------------------------------------
 
 
 def section(number):
@@ -499,9 +491,6 @@ def test_gains_and_weights_are_those_of_format_7_5():
         "LH at t = 0 if LH-along": cdf97.LH_ALONG,
     }
     assert cdf97.WEIGHTS["HL"] == cdf97.WEIGHTS["LH"]
-
-
-# Files that no encoder writes ------------------------------------------------------------------
 
 
 def planes(values, width):

@@ -68,9 +68,6 @@ def georeferenced(tmp_path, heights, transform, **profile):
     return Terrain(tmp_path / "dem.twz", threads=1)
 
 
-# Windows
-
-
 @pytest.mark.large
 @pytest.mark.parametrize(
     "window",
@@ -138,9 +135,6 @@ def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, 
 def test_what_is_read_is_a_copy(terrain):
     terrain.read((0, 0, 5, 5))[:] = 0
     np.testing.assert_array_equal(terrain.read((0, 0, 5, 5)), HEIGHTS[:5, :5])
-
-
-# Levels
 
 
 @pytest.mark.large
@@ -240,9 +234,6 @@ def test_windows_from_bounds_take_the_transforms_of_levels(tmp_path):
             bottom, right = top - 100 * stride, left + 200 * stride
             window = from_bounds(left, bottom, right, top, terrain.transform_of(level))
             assert terrain.region(window, level=level) == (4, 6, 10, 20)
-
-
-# Bounds
 
 
 @pytest.mark.parametrize(
@@ -380,9 +371,6 @@ def test_resampling_to_the_same_shape_changes_nothing(terrain, method):
     np.testing.assert_array_equal(found, HEIGHTS[60:69, 60:69])
 
 
-# Voids
-
-
 @pytest.mark.large
 def test_voids_come_back_as_the_rasters_nodata(void_data):
     with Terrain(void_data) as terrain:
@@ -396,8 +384,6 @@ def test_a_masked_array_has_its_voids_masked(void_data):
     assert np.argwhere(heights.mask).tolist() == [[7, 7]]
     assert heights.fill_value == -32768
 
-
-# Sampling
 
 SQUARE = np.array([[1.0, 2.0], [5.0, 10.0]])
 
@@ -443,9 +429,6 @@ def test_sample_gives_physical_heights(tmp_path):
         assert terrain.sample([(1.0, 0.5)])[0] == pytest.approx(101.5)
 
 
-# Limits
-
-
 def test_a_read_larger_than_max_bytes_is_refused_with_its_size(terrain):
     with pytest.raises(LimitExceededError, match="73,080 bytes"):  # 261 * 140 * 2
         terrain.read(max_bytes=73_079)
@@ -459,9 +442,6 @@ def test_the_cache_stays_within_its_limit(store_data):
         cache = terrain.decoder._cache
         kept = sum(unit.nbytes for unit in cache._values.values())
         assert 0 < kept <= 50_000
-
-
-# Damage
 
 
 def broken_at(data, key):
@@ -581,9 +561,6 @@ def test_check_names_the_damaged_group(store_data):
         assert share.endswith(" % of the samples cannot be read")
 
 
-# Threads, pickles, closing
-
-
 @pytest.mark.large
 @pytest.mark.parametrize("cache_bytes", [0, 1 << 28])
 def test_eight_threads_read_what_one_does(store_data, cache_bytes):
@@ -663,9 +640,6 @@ def test_a_fork_reads_with_threads_of_its_own(store_data):
         assert os.waitpid(child, 0)[1] == 0
 
 
-# What the file says
-
-
 @pytest.fixture
 def info(tmp_path):
     source = write_geotiff(
@@ -725,9 +699,6 @@ def test_info_counts_bytes_and_bits(info):
     assert found.ratio == pytest.approx(1300 / n_bytes)
 
 
-# Shared borders
-
-
 def all_keys(grid):
     keys = grid.root_keys()
     for key in keys:
@@ -777,6 +748,3 @@ def test_neighbouring_units_decode_shared_samples_identically(method, rings, voi
     heights = np.where(valid, HEIGHTS, -32768).astype("int16")
     data = twz_bytes(heights, max_error=max_error, method=method, border_rings=rings, nodata=-32768)
     assert_neighbours_agree(data, seed=3)
-
-
-# What notebooks and shells show

@@ -166,9 +166,6 @@ def test_smaller_than_raw_by_far_on_smooth_terrain():
     assert len(payload) * 8 / target.size < 1.0
 
 
-# Groups next to each other ---------------------------------------------------------------------
-
-
 @pytest.mark.few(8)
 @pytest.mark.large
 @pytest.mark.parametrize("rings", [1, 3])
@@ -187,9 +184,6 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
     masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
     # In faithful files, those with a void of the file.
     check_neighbours(Cdf97Refiner(), grid, levels, rings, 0, masks, is_faithful=has_voids)
-
-
-# Damage ----------------------------------------------------------------------------------------
 
 
 @cache

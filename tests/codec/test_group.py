@@ -47,9 +47,6 @@ def valid_everywhere(spec):
     return np.ones(spec.region.shape, dtype=bool)
 
 
-# Masks
-
-
 @given(st.data(), st.integers(1, 9), st.integers(1, 9))
 def test_masks_come_back_exactly(data, n_rows, n_cols):
     mask = data.draw(valid_masks((n_rows, n_cols)))
@@ -113,9 +110,6 @@ def test_implied_voids_cost_no_mask():
     assert len(payload) == 1 + 5
 
 
-# Heights that would read as nodata
-
-
 @pytest.mark.parametrize("method", ["store", "cdf97"])
 @pytest.mark.parametrize("step", [3, 9, 101])
 @pytest.mark.parametrize("forbidden", [(7, 7), (-2, 5), (-20, -20)])
@@ -162,9 +156,6 @@ def test_heights_are_clamped_to_the_range_of_the_originals():
     spec = root_spec(1, 2, step=101, z_min=-3, z_max=3)
     _, decoded = round_trip(spec, [[-3, 3]], np.ones((1, 2), dtype=bool))
     assert np.abs(decoded.heights).max() <= 3
-
-
-# Damage
 
 
 @pytest.mark.parametrize("method", ["store", "rapid"])
@@ -272,9 +263,6 @@ def test_exceptions_without_collisions_are_rejected():
     spec, payload = small_unit("store")
     lenient = dataclasses.replace(spec, forbidden=(0, -1))
     assert "0 heights equal nodata" in str(outcome("store", lenient, payload))
-
-
-# What an encoder never writes
 
 
 def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():

@@ -129,9 +129,6 @@ def test_noise_costs_little_more_than_plain_bits(refiner, step):
     assert len(payload) <= most * 13 * target.size / 8 + 8
 
 
-# Groups next to each other ---------------------------------------------------------------------
-
-
 @pytest.mark.few(8)
 @pytest.mark.large
 @pytest.mark.parametrize(
@@ -157,9 +154,6 @@ def test_neighbours_decode_the_same_bits_in_any_order(refiner, size, rings, has_
     for above, mask in itertools.pairwise(masks):
         mask[::2, ::2] &= above  # a sample valid here was valid there
     check_neighbours(refiner(), grid, levels, rings, 1, masks)
-
-
-# Damage ----------------------------------------------------------------------------------------
 
 
 @cache

@@ -88,8 +88,6 @@ def test_the_widest_heights_fit():
     assert heights.tolist() == target.tolist()
 
 
-# Damage
-
 TARGET = np.random.default_rng(2).integers(-900, 900, (4, 5))
 SPEC = spec_of((4, 5), 3)
 PAYLOAD = encode(SPEC, TARGET)[0]

@@ -242,9 +242,6 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
         assert container.segment(Block(6, 0, 0)).page.is_empty
 
 
-# What the writer refuses
-
-
 def test_a_missing_segment_is_refused(tmp_path):
     header = toy_header(2000, 1999)
     spools = toy_spools(header.grid, tmp_path)

@@ -408,9 +408,6 @@ def test_a_pickled_url_is_opened_again(server):
     copy.close()
 
 
-# fsspec
-
-
 @pytest.fixture
 def memory():
     import fsspec

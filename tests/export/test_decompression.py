@@ -135,9 +135,6 @@ def test_nan_comes_back(tmp_path):
     )
 
 
-# Windows, bounds, levels; places by hand
-
-
 @pytest.mark.parametrize(
     ("options", "at", "transform"),
     [
@@ -213,8 +210,6 @@ def test_progress_ends_with_all_samples(files, tmp_path):
     back_from(files, tmp_path, progress=seen.append)
     assert (seen[-1].done, seen[-1].total) == (261 * 140, 261 * 140)
 
-
-# COG
 
 LARGE = terrain_like(1100, 1060, dtype="float32", seed=2)
 

@@ -116,9 +116,6 @@ def test_float32_formats_count_from_an_origin_and_reach_a_millimetre(tmp_path, s
     assert saved.rounding < 1e-3
 
 
-# What the files say about themselves
-
-
 def about(path):
     """Return the JSON that the file carries."""
     if path.suffix == ".glb":
@@ -285,9 +282,6 @@ def test_skirts_of_depths_hang_down_in_metres(tmp_path):
     assert upper[:, 2] - points[depths.n_vertices :, 2] == pytest.approx(25)
 
 
-# Errors
-
-
 def surface_height(points, triangles, x, y):
     """Return the height of a surface at (x, y), by the barycentric coordinates of all triangles."""
     a, b, c = (points[triangles[:, corner]] for corner in range(3))
@@ -340,9 +334,6 @@ def test_triangles_below_float32_are_refused(tmp_path):
     save_mesh(both, tmp_path / "area.ply")
 
 
-# Whole files or none
-
-
 @pytest.mark.parametrize("name", ["area.txt", "area", "area.tif", "ply"])
 def test_an_unknown_extension_names_the_known_ones(tmp_path, name):
     with pytest.raises(InvalidHeightsError) as caught:
@@ -380,9 +371,6 @@ def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):
     with pytest.raises(MemoryError):
         save_mesh(utm_mesh(), tmp_path / "area.ply")
     assert list(tmp_path.iterdir()) == []
-
-
-# Bodies
 
 
 def voids():
@@ -451,9 +439,6 @@ def test_a_base_that_is_not_below_is_refused(tmp_path, base):
         save_mesh(mesh, tmp_path / "body.stl", solid=base)
 
 
-# Other programs' objects
-
-
 def test_to_trimesh_has_the_vertices_and_triangles():
     mesh = utm_mesh()
     found = mesh.to_trimesh()
@@ -470,9 +455,6 @@ def test_to_pyvista_gives_the_surface():
     flat = surface.copy()
     flat.points[:, 2] = 0
     assert flat.area == pytest.approx(6 * 8 * 30**2)
-
-
-# Quantized-mesh tiles, read by the format's own rules
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4258"])
@@ -519,9 +501,6 @@ def test_tile_lies_where_its_points_are(tmp_path):
     assert [header["x"], header["y"], header["z"]] == pytest.approx(centre.tolist(), abs=1e-3)
     sphere = np.array([header["sx"], header["sy"], header["sz"]])
     assert np.linalg.norm(points - sphere, axis=1).max() <= header["radius"] + 1e-3
-
-
-# Pictures
 
 
 @pytest.mark.parametrize("wireframe", [False, True])

@@ -48,9 +48,6 @@ def site(twz, tmp_path_factory):
     return folder
 
 
-# The folder
-
-
 def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
     target = tmp_path / "site"
     result = run("publish", twz, target, "--json")
@@ -102,8 +99,6 @@ def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, line):
     assert line in result.stderr
     assert os.listdir(tmp_path) == ["a.twz"]
 
-
-# Tiles
 
 RASTERS = {
     "degrees": ("EPSG:4326", BOUNDS),
@@ -249,9 +244,6 @@ def test_height_maps_state_their_errors(twz, site):
         assert (decoded(tile["holes"]) == holes).all()
         assert tile["terrainError"] == pytest.approx(globe.heights_error(window))
     assert 0 < tile["error"] < 200
-
-
-# The page
 
 
 def show(driver, server, state="complete", hash_=""):

@@ -144,8 +144,6 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
 
-# Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
-
 PLACES = [(46.2, 8.2), (46.31, 8.44), (0.0, 100.0), (46.0 + 0.4 / 65, 8.0 + 1e-9)]
 TEXT = "|".join(f"{lat!r},{lon!r}" for lat, lon in PLACES)
 OBJECTS = [{"latitude": lat, "longitude": lon} for lat, lon in PLACES]
@@ -571,9 +569,6 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     assert names == ["hills.tif", "nowhere.tif", "", "hills-2.tif"]
     assert answers[0]["info"]["effective_error"] > 0
     assert "No such file" in answers[2]["error"]
-
-
-# Where nobody knows the unit, nobody says metres.
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):

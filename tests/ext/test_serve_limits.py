@@ -62,9 +62,6 @@ def is_ended(client):
     return True
 
 
-# Connections
-
-
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("sent", [b"", REQUEST[:-2], REQUEST + REQUEST[:9]])
 def test_who_does_not_ask_to_the_end_is_cut_off(address, sent):
@@ -201,9 +198,6 @@ def test_what_is_no_request_is_refused_without_a_line_in_the_log(address, reques
         client.sendall(request_)
         assert client.recv(100).startswith(b"HTTP/1.1 400 ")
     assert not caplog.messages
-
-
-# Answers
 
 
 @pytest.mark.parametrize(

@@ -57,9 +57,6 @@ def test_the_folder_has_a_page_and_three_small_samples(tmp_path):
     assert run("site", target, "--overwrite", "-q").exit_code == 0
 
 
-# The page
-
-
 @pytest.fixture(scope="module")
 def rasters(tmp_path_factory):
     """Return a folder of hills.twz and bare.twz (on UTM), with their originals."""

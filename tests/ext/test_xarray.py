@@ -190,9 +190,6 @@ def test_rotated_raster_has_a_transform_and_places_of_each_sample(tmp_path):
             np.testing.assert_array_equal(dataset.yc[3:9, 4], expected.yc[3:9, 4])
 
 
-# The accessor.
-
-
 def test_array_that_was_opened_is_written_with_its_place(terrain_file, tmp_path):
     with xr.open_dataset(terrain_file) as dataset:
         result = dataset.heights.terrainwave.to_twz(tmp_path / "b.twz", max_error=0, **QUICK)

@@ -49,9 +49,6 @@ def grid_of(p, dtype, count=200):
     return np.array([[float(m) for m in multiples]]).astype(dtype)
 
 
-# Detection
-
-
 @pytest.mark.parametrize("dtype", ["int16", "int32", "uint16"])
 def test_integers_with_a_common_factor_have_it_as_quantum(dtype):
     assert scan_of(np.array([[30, 0, 45]], dtype=dtype)).true_quantum() == 15
@@ -109,9 +106,6 @@ def test_a_decimal_grid_as_fine_as_the_floats_themselves_is_none():
     # Around 3000 float32's lie 1/4096 apart: any of them is the nearest to a multiple of 10^-6.
     heights = np.array([[3000.0002, 10.333333, 2999.7773]], dtype="float32")
     assert scan_of(heights).true_quantum() is None
-
-
-# The step
 
 
 @pytest.mark.parametrize(
@@ -201,9 +195,6 @@ def test_continuous_floats_get_a_quantum_of_at_most_a_32nd_of_the_bound():
     assert quantizer.quantum <= 0.3 / 32
 
 
-# Zero error
-
-
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize(
     "p", [TENTH, Fraction(1, 100), Fraction(3048, 10000), Fraction(1, 64)], ids=str
@@ -244,9 +235,6 @@ def advised_bound(heights):
 @pytest.mark.parametrize("name", OFF_GRID)
 def test_zero_error_off_the_grid_is_refused_with_a_bound_that_works(name):
     quantizer_of(OFF_GRID[name], advised_bound(OFF_GRID[name]))
-
-
-# Extremes
 
 
 @pytest.mark.parametrize("max_error", [256, 259.5, 260, 1000, 12345])
@@ -302,9 +290,6 @@ def test_dequantized_heights_stay_in_the_type():
     quantizer = quantizer_of(heights, 300)
     beyond = np.array([[quantizer.z_min - 50, quantizer.z_max + 50]], dtype=np.int32)
     assert quantizer.dequantize(beyond).tolist() == heights.tolist()
-
-
-# nodata
 
 
 def interval(quantizer, value):
@@ -380,9 +365,6 @@ def test_a_billion_quanta_that_give_the_nodata_value_are_not_counted_one_by_one(
 
     monkeypatch.setattr(Quantizer, "height_of", counted)
     assert quantizer.quanta_of_value(value) == expected
-
-
-# The strict bound
 
 
 @given(

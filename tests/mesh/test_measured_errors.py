@@ -16,8 +16,6 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.terrain import Terrain
 
-# Measuring
-
 
 @given(
     st.integers(0, 2**32 - 1),
@@ -45,9 +43,6 @@ def test_a_tent_over_a_plain_has_its_height_as_error():
     heights = np.array([[0, 8]], dtype=np.int32)
     originals = np.array([[0, 2, 9, 6, 8]], dtype=np.int32)
     assert measure_block(heights, 4, originals, originals >= 0, 0, 0) == 5
-
-
-# Codes
 
 
 @given(st.integers(0, 2**31))
@@ -87,9 +82,6 @@ def test_boxes_are_rounded_as_the_format_says():
     # (100 - 0) * 255 / 1000 = 25.5 and (1000 - 900) * 255 / 1000 = 25.5; 25 * 1000 / 255 = 98.04
     assert encode_range(100, 900, 0, 1000) == (25, 25)
     assert decode_range(25, 25, 0, 1000) == (98, 902)
-
-
-# In files
 
 
 class File:

@@ -54,9 +54,6 @@ def full_region(grid, level, window):
     )
 
 
-# Everything at once
-
-
 @given(case=cases(max_side=100))
 @settings(max_examples=N_EXAMPLES)
 def test_all_meshes_of_a_file_are_right(case, tmp_path_factory):
@@ -173,9 +170,6 @@ def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, 
     assert any(found) == is_beside_finer
 
 
-# Windows
-
-
 @pytest.mark.large
 def test_an_edge_through_a_corner_of_the_window_leaves_no_sliver(tmp_path):
     """The crossing was computed beside the corner: a vertex on another one, a triangle of none."""
@@ -206,9 +200,6 @@ def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
         left, bottom, right, top = one.bounds
         assert (left, right) == (c + 20.5 * a, c + 59.5 * a)
         assert (bottom, top) == (f + 69.5 * e, f + 10.5 * e)
-
-
-# What can't be had
 
 
 @pytest.mark.large
@@ -295,9 +286,6 @@ class Inline:
         return map(function, values)
 
 
-# The same everywhere
-
-
 @pytest.mark.large
 def test_any_number_of_threads_gives_the_same_bytes_and_meshes(tmp_path):
     case = make_case("half sea", "disc", (200, 170), 4, max_error=2, block=32)
@@ -342,9 +330,6 @@ def test_kernels_give_the_same_meshes_as_plain_python():
         cwd=os.path.dirname(__file__),
     )  # fmt: skip
     assert json.loads(ran.stdout) == kernel_meshes()
-
-
-# What `verify --mesh` finds
 
 
 def with_mesh_code(path, target, block, code):

@@ -77,9 +77,6 @@ def places(path):
 CASES = [(EGM96, 1.0, None), (FEET, SURVEY_FOOT, None), (FEET, 1.0, "m")]
 
 
-# Rasters
-
-
 @pytest.mark.parametrize(("crs", "metres", "units"), CASES)
 def test_decompress_writes_heights_above_the_ellipsoid(grids, tmp_path, crs, metres, units):
     heights = hills()
@@ -155,9 +152,6 @@ def test_heights_of_a_part_of_the_bits_state_no_bound(grids, tmp_path):
         assert "TERRAINWAVE" not in dataset.tag_namespaces()
 
 
-# The globe
-
-
 @pytest.mark.parametrize(("crs", "metres", "units"), CASES)
 def test_cesium_tiles_count_from_the_ellipsoid(grids, tmp_path, crs, metres, units):
     twz = raster(tmp_path, crs, hills(), units=units)
@@ -223,9 +217,6 @@ def test_what_the_geoid_bends_under_triangles_is_in_the_error(tmp_path, monkeypa
     assert found.error > mesh.error + 1.0
 
 
-# As they are
-
-
 def test_as_is_is_the_default_with_one_note_of_the_datum(tmp_path):
     twz = raster(tmp_path, EGM96, hills())
     with terrainwave.open(twz) as terrain:
@@ -274,9 +265,6 @@ def test_depths_go_down(tmp_path):
             assert Globe(terrain).height_range[1] < 0
         with pytest.raises(InvalidHeightsError, match="numbers that count downwards, as depths do"):
             mesh.save(tmp_path / "a.stl", frame="local", solid=0.0)
-
-
-# Refusals
 
 
 def test_a_missing_grid_is_named_with_the_command_that_fetches_it(tmp_path):
@@ -346,9 +334,6 @@ def test_other_frames_and_words_are_refused(tmp_path):
             to_frame(mesh, frame, vertical="ellipsoid")
     with pytest.raises(InvalidArgumentError, match="expected as-is or ellipsoid"):
         to_frame(mesh, "ecef", vertical="geoid")
-
-
-# The command
 
 
 def run(*args, **env):

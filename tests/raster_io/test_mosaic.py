@@ -270,9 +270,6 @@ def test_each_file_is_opened_once_more_for_a_scan_and_few_at_a_time(tmp_path, mo
     assert most <= 12 + 1
 
 
-# The command.
-
-
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")
 def test_command_makes_one_file_of_tiles_and_it_comes_back(four_tiles, tmp_path):
     whole, paths = four_tiles

@@ -6,7 +6,6 @@ import math
 import os
 import shutil
 import socketserver
-import subprocess
 import sys
 import tempfile
 import threading
@@ -16,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
+from commands import python
 from forks import holds_in_a_fork
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -64,9 +64,6 @@ def write_all(path, info, heights, valid, **options):
 
 def file_names(folder):
     return sorted(os.listdir(folder))
-
-
-# --- round trips -------------------------------------------------------------------------------
 
 
 @pytest.mark.few(8)
@@ -229,9 +226,6 @@ def test_striped_and_tiled_sources_are_read_alike(tmp_path, layout):
         np.testing.assert_array_equal(source.read(7, 900, 200, 130)[0], heights[7:207, 900:1030])
 
 
-# --- voids -------------------------------------------------------------------------------------
-
-
 def test_nodata_and_mask_both_make_voids(tmp_path):
     heights = np.array([[1, 2, 3, -9]], dtype="int16")
     path = write_geotiff(tmp_path / "a.tif", heights, mask=[[True, False, True, True]], nodata=-9)
@@ -293,9 +287,6 @@ def test_void_in_a_raster_without_voids_is_a_corrupt_file(tmp_path):
     assert file_names(tmp_path) == []
 
 
-# --- arrays ------------------------------------------------------------------------------------
-
-
 def test_array_is_copied_and_byte_order_made_native():
     heights = terrain_like(4, 5).astype(">i2")
     source = RasterSource(heights)
@@ -354,9 +345,6 @@ class FakeDataArray:
         return FakeDataArray(self.values.T, dims, self.coords, self.attrs)
 
 
-# --- scanning ----------------------------------------------------------------------------------
-
-
 @given(
     shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
     block=st.tuples(st.integers(1, 70), st.integers(1, 70)),
@@ -392,9 +380,6 @@ def test_many_threads_read_the_same_heights(tmp_path):
         for thread in threads:
             thread.join()
     assert not wrong
-
-
-# --- what the source says ----------------------------------------------------------------------
 
 
 def test_several_bands_are_noted_and_can_be_chosen(tmp_path):
@@ -477,9 +462,6 @@ def test_window_past_the_end_of_a_cut_file_is_unreadable(tmp_path):
             source.read(290, 0, 10, 300)
 
 
-# --- metadata ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("nodata", [None, -9999, -9999.5, math.nan, math.inf, -math.inf])
 def test_metadata_survive_json(nodata):
     dtype = "int16" if isinstance(nodata, int) else "float64"
@@ -530,9 +512,6 @@ def test_crs_from_a_file_fetches_no_url():
             parse_crs(f"http://127.0.0.1:{server.server_address[1]}/crs")
         server.handle_request()
     assert not requests
-
-
-# --- writing -----------------------------------------------------------------------------------
 
 
 def test_existing_target_is_refused_without_overwrite(tmp_path):
@@ -626,20 +605,11 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind, threa
     write_all(path, RasterInfo(side, side, "int16"), heights, heights == heights)
     limit = path.stat().st_size - missing
     path.unlink()
-    run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path), str(limit), kind, str(threads), str(side)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    run = python(FULL_DISK, path, limit, kind, threads, side)
     assert run.returncode == 1, run.stderr
     assert "StorageError" in run.stderr
     assert "Traceback" not in run.stderr
     assert file_names(tmp_path) == []
-
-
-# --- cloud-optimised GeoTIFF -------------------------------------------------------------------
 
 
 def test_cog_overviews_are_averages_of_the_grid(tmp_path):
@@ -681,8 +651,6 @@ def test_cog_keeps_an_internal_mask(tmp_path):
         np.testing.assert_array_equal(read_all(source)[1], valid)
 
 
-# --- memory ------------------------------------------------------------------------------------
-
 MEMORY = """
 import resource, sys, numpy as np
 from terrainwave.raster_io.raster_info import RasterInfo
@@ -704,13 +672,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start) // 1024)
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit or is missing")
 def test_memory_stays_flat_on_a_raster_of_256_megabytes(tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(tmp_path / "a.tif")],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    run = python(MEMORY, tmp_path / "a.tif", check=True)
     # 64 MiB of GDAL's cache and a few windows of 4 Mi samples.
     assert int(run.stdout) < 140
 

@@ -82,9 +82,6 @@ def outcome(read, *arguments, **options):
     return parts, [str(warning.message) for warning in told]
 
 
-# ---- The same heights ----
-
-
 @pytest.mark.native
 @pytest.mark.full
 @pytest.mark.parametrize("name", FILES)
@@ -238,9 +235,6 @@ def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypa
             assert len(finest) == len(set(finest)) > 10
 
 
-# ---- Damage ----
-
-
 @pytest.mark.native
 @pytest.mark.full
 def test_invalid_files_are_refused_in_the_same_words(with_library):
@@ -289,9 +283,6 @@ def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
         with pytest.warns(TerrainwaveWarning, match=r"bits of straw.*please report it"):
             heights = terrain.read()
     assert np.array_equal(heights, HEIGHTS)
-
-
-# ---- Lives ----
 
 
 @pytest.mark.native
@@ -362,9 +353,6 @@ def test_a_first_read_imports_no_compiler(library):
             capture_output=True, text=True, check=True,
         )  # fmt: skip
         assert run.stdout.strip() == imported
-
-
-# ---- Whether it is used ----
 
 
 @pytest.mark.native

@@ -35,9 +35,6 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-# The filters
-
-
 def coarser(fine, order, valid=None):
     """Return the level above `fine`, and NaN where its samples are void."""
     valid = np.ones(fine.shape, bool) if valid is None else valid
@@ -94,9 +91,6 @@ def test_the_border_follows_from_its_line_alone_and_voids_stay():
     found = coarser(one, 4, valid)
     assert np.isnan(found[2:5, 2:5]).all()
     assert np.isnan(found).sum() == 9
-
-
-# The surface of a block
 
 
 def height_at(vertices, row, col):
@@ -157,9 +151,6 @@ def bilinear(fine, row, col):
     r, c = min(int(row), fine.shape[0] - 2), min(int(col), fine.shape[1] - 2)
     t, s = row - r, col - c
     return np.array([1 - t, t]) @ fine[r : r + 2, c : c + 2] @ np.array([1 - s, s])
-
-
-# What is drawn
 
 
 def drawn_samples(scene, frames, heights):
@@ -253,9 +244,6 @@ def test_boxes_hold_the_originals_and_all_vertices(original_and_terrain):
             assert high >= max(inside.max(initial=-np.inf), np.nanmax(z)) - 1e-3
 
 
-# The paper's criterion
-
-
 @pytest.fixture(params=[None, 1.25])
 def paper_scene(request):
     with terrain_of(np.round(hills(150, 140, 5)).astype(np.int16), block=32) as terrain:
@@ -316,9 +304,6 @@ def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene, mu):
     share = 1 - (frames.distances - old) / (new - old)
     np.testing.assert_allclose(frames.morphs, np.clip(share, 0, 1), atol=1e-9)
     assert ((frames.morphs > 0) & (frames.morphs < 1)).any()
-
-
-# Loading
 
 
 @pytest.mark.large
