@@ -30,7 +30,6 @@ print(json.dumps(found))
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_golden_files_are_read_and_written_alike_by_both_compilers(tmp_path):
     found = {}
     for compiler in ("fast", "plain"):

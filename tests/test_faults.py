@@ -331,7 +331,6 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
     few = "--side 200 --kills 1 --signals 2 --disks 1 --pairs 1 --forks 1 --opens 10".split()

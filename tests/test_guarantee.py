@@ -191,7 +191,6 @@ def test_the_bound_and_the_mask_hold_on_several_blocks(case, max_error, options)
 
 
 @pytest.mark.full
-@pytest.mark.large
 @settings(max_examples=3 * settings.default.max_examples)
 @given(
     cases(tiny | medium),

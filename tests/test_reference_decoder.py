@@ -184,7 +184,6 @@ def test_small_rasters_decode_as_format_says(name, method, border_rings):
 
 @VOIDS_OF_INT32
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("name", "method", "border_rings"), pairs(every=2))
 def test_rasters_of_several_levels_decode_as_format_says(name, method, border_rings):
     check_raster(name, [LARGE[method]], method, border_rings)
@@ -322,7 +321,6 @@ def test_golden_files_have_all_that_format_rapid_names():
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("shape", [(2, 1100), (1100, 3)])
 def test_tiles_with_a_held_side_decode_as_format_says(shape):
     rng = np.random.default_rng(0)
@@ -334,7 +332,6 @@ def test_tiles_with_a_held_side_decode_as_format_says(shape):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_tiles_with_held_sides_that_meet_decode_as_format_says():
     # The tile of the first 1025 rows and columns would take long; only its last ones are rough.
     heights = np.zeros((1030, 1028), "int16")

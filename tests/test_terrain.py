@@ -68,7 +68,6 @@ def georeferenced(tmp_path, heights, transform, **profile):
     return Terrain(tmp_path / "dem.twz", threads=1)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     "window",
     [
@@ -137,7 +136,6 @@ def test_what_is_read_is_a_copy(terrain):
     np.testing.assert_array_equal(terrain.read((0, 0, 5, 5)), HEIGHTS[:5, :5])
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("level", "stride"), [(-1, 1), (-2, 2), (-3, 4), (-5, 16), (0, 16), (2, 4), (3, 2), (4, 1)]
 )
@@ -335,7 +333,6 @@ def test_bilinear_resampling_leaves_voids_out():
     assert found.tolist() == [1, 5]
 
 
-@pytest.mark.large
 def test_averaging_to_one_sample_does_not_hold_the_window():
     sizes = []
 
@@ -358,7 +355,6 @@ def test_averages_of_many_samples_are_numpys(terrain):
     np.testing.assert_array_equal(found, np.rint(means))
 
 
-@pytest.mark.large
 def test_nearest_takes_samples_of_a_level_that_is_fine_enough(terrain):
     # Scale 4: level -3's samples, every fourth one; places 4 i + 1.5 are nearest to sample i.
     found = terrain.read((0, 0, 260, 140), out_shape=(65, 35))
@@ -371,7 +367,6 @@ def test_resampling_to_the_same_shape_changes_nothing(terrain, method):
     np.testing.assert_array_equal(found, HEIGHTS[60:69, 60:69])
 
 
-@pytest.mark.large
 def test_voids_come_back_as_the_rasters_nodata(void_data):
     with Terrain(void_data) as terrain:
         np.testing.assert_array_equal(terrain.read(), WITH_VOIDS)
@@ -434,7 +429,6 @@ def test_a_read_larger_than_max_bytes_is_refused_with_its_size(terrain):
         terrain.read(max_bytes=73_079)
 
 
-@pytest.mark.large
 def test_the_cache_stays_within_its_limit(store_data):
     with Terrain(store_data, cache_bytes=50_000, threads=2) as terrain:
         for _ in range(2):
@@ -454,7 +448,6 @@ def broken_at(data, key):
     return bytes(damaged)
 
 
-@pytest.mark.large
 def test_a_damaged_group_is_named(store_data):
     damaged = broken_at(store_data, Block(3, 1, 0))
     with Terrain(damaged) as terrain:
@@ -462,7 +455,6 @@ def test_a_damaged_group_is_named(store_data):
             terrain.read()
 
 
-@pytest.mark.large
 def test_a_damaged_finest_group_costs_only_its_own_area(store_data):
     # Group below block (3, 1, 0): full-grid rows 64 ... 128, columns 0 ... 64.
     damaged = broken_at(store_data, Block(3, 1, 0))
@@ -477,7 +469,6 @@ def test_a_damaged_finest_group_costs_only_its_own_area(store_data):
     np.testing.assert_array_equal(valid[64, :64], True)
 
 
-@pytest.mark.large
 def test_a_damaged_inner_group_costs_everything_below_it(store_data):
     # Block (2, 1, 0): samples 32 ... 64 of level 2, so full-grid rows 128 ... 256.
     damaged = broken_at(store_data, Block(2, 1, 0))
@@ -489,14 +480,12 @@ def test_a_damaged_inner_group_costs_everything_below_it(store_data):
     assert valid[:, 128:].all()
 
 
-@pytest.mark.large
 def test_a_damaged_root_costs_everything(store_data):
     with Terrain(broken_at(store_data, Block(-1, 0, 0))) as terrain:
         for level in range(terrain.n_levels):
             assert not terrain.read_with_mask(level=level, on_error="mask")[1].any()
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("key", "name"),
     [
@@ -511,14 +500,12 @@ def test_a_damaged_unit_is_named_for_what_lies_below_it(store_data, key, name):
             terrain.read((200, 0, 1, 1))
 
 
-@pytest.mark.large
 def test_a_damaged_group_leaves_other_windows_readable(store_data):
     damaged = broken_at(store_data, Block(3, 1, 0))
     with Terrain(damaged) as terrain:
         np.testing.assert_array_equal(terrain.read((129, 0, 132, C)), HEIGHTS[129:])
 
 
-@pytest.mark.large
 def test_a_payload_that_contradicts_the_format_is_named_too(store_data, monkeypatch):
     # The checksum is right and the payload is not: what an attacker makes.
     monkeypatch.setattr("terrainwave.container.reader.check_crc", lambda *_: None)
@@ -531,7 +518,6 @@ def test_a_payload_that_contradicts_the_format_is_named_too(store_data, monkeypa
             terrain.read()
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("on_error", ["raise", "mask"])
 def test_a_damaged_index_page_costs_only_its_segment(on_error):
     heights = terrain_like(1030, 3)  # k_max = 6: level 2's blocks head segments
@@ -552,7 +538,6 @@ def test_a_damaged_index_page_costs_only_its_segment(on_error):
     np.testing.assert_array_equal(found[keep], heights[keep])
 
 
-@pytest.mark.large
 def test_check_names_the_damaged_group(store_data):
     with Terrain(broken_at(store_data, Block(3, 1, 0))) as terrain:
         *damaged, share = terrain.check()
@@ -561,7 +546,6 @@ def test_check_names_the_damaged_group(store_data):
         assert share.endswith(" % of the samples cannot be read")
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("cache_bytes", [0, 1 << 28])
 def test_eight_threads_read_what_one_does(store_data, cache_bytes):
     rng = np.random.default_rng(1)
@@ -608,7 +592,6 @@ def test_a_file_object_can_be_read(store_data):
         np.testing.assert_array_equal(terrain.read((0, 0, 3, 3)), HEIGHTS[:3, :3])
 
 
-@pytest.mark.large
 def test_leaving_the_context_closes_the_file(tmp_path, store_data):
     path = tmp_path / "dem.twz"
     path.write_bytes(store_data)
@@ -734,7 +717,6 @@ def assert_neighbours_agree(data, seed):
 
 
 @pytest.mark.few(6)
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["cdf97", "store"])
 @pytest.mark.parametrize("rings", [1, 3])
 @pytest.mark.parametrize("voids", ["none", "areas", "noise"])

@@ -573,7 +573,6 @@ except SystemExit as end:
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_demo_checks_and_draws(tmp_path):
     done = run("demo", tmp_path / "demo")
     assert done.exit_code == 0, done.output

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from fnmatch import fnmatch
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -181,10 +182,10 @@ def test_names_and_units_of_any_letters_are_printed_in_any_encoding(tmp_path):
 
 
 def test_an_error_of_a_file_does_not_name_stdout(tmp_path, dem, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device", "/somewhere/else")
-
-    monkeypatch.setattr("terrainwave.write.compress.assemble", full)
+    monkeypatch.setattr(
+        "terrainwave.write.compress.assemble",
+        Mock(side_effect=OSError(errno.ENOSPC, "No space left on device", "/somewhere/else")),
+    )
     line = one_line(run("compress", dem, tmp_path / "a.twz", *QUICK), 1)
     assert "stdout" not in line
     assert "/somewhere/else: No space left on device" in line
@@ -456,10 +457,9 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
 
 
 def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
-    def raising(*_, **__):
-        raise KeyError("x")
-
-    monkeypatch.setattr("terrainwave.container.reader.Container.__init__", raising)
+    monkeypatch.setattr(
+        "terrainwave.container.reader.Container.__init__", Mock(side_effect=KeyError("x"))
+    )
     assert "TERRAINWAVE_TRACEBACK=1" in one_line(run("info", twz), 1)
     monkeypatch.setenv("TERRAINWAVE_TRACEBACK", "1")
     done = run("info", twz)

@@ -68,7 +68,6 @@ def account(accountant, tmp_path, method, step, has_parent):
     return len(payload), accounts
 
 
-@pytest.mark.large
 @pytest.mark.full
 @pytest.mark.parametrize(("step", "has_parent"), [(1, True), (7, False)])
 @pytest.mark.parametrize("method", ["predictive", "cdf97"])

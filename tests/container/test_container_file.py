@@ -121,14 +121,6 @@ class Recording(BufferSource):
         return super().read(offset, length)
 
 
-def test_opening_reads_the_first_16_kib_only():
-    data = toy_file(toy_header(5000, 5000))
-    assert len(data) > 100_000
-    source = Recording(data)
-    Container(source)
-    assert source.reads == [ByteRange(0, 16384)]
-
-
 def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself():
     noise = "".join(chr(code) for code in np.random.default_rng(1).integers(32, 126, 20_000))
     header = toy_header(17_000, 40, metadata={"own": noise})  # all payloads beyond 16 KiB

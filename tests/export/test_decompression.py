@@ -225,7 +225,6 @@ def cog(tmp_path_factory):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_a_cog_is_one(cog):
     with rasterio.open(cog[1]) as dataset:
         assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"

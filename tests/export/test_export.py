@@ -5,6 +5,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from unittest.mock import Mock
 
 import meshio
 import numpy as np
@@ -364,10 +365,7 @@ def test_a_missing_package_is_one_line_that_says_what_to_install(
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):
-    def fail(*args):
-        raise MemoryError
-
-    monkeypatch.setattr("terrainwave.export.mesh_formats.write_ply", fail)
+    monkeypatch.setattr("terrainwave.export.mesh_formats.write_ply", Mock(side_effect=MemoryError))
     with pytest.raises(MemoryError):
         save_mesh(utm_mesh(), tmp_path / "area.ply")
     assert list(tmp_path.iterdir()) == []

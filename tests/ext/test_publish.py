@@ -271,7 +271,6 @@ def large(tmp_path_factory):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
     publish_site([str(large)], tmp_path / "site")
     with static_server(tmp_path / "site") as server:
@@ -299,7 +298,6 @@ def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_server_without_ranges_sends_the_file_once(site, browser):
     with static_server(site, has_ranges=False) as server:
         driver = show(browser, server)
@@ -310,7 +308,6 @@ def test_a_server_without_ranges_sends_the_file_once(site, browser):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("gone", "line"),
     [("hills.twz", "HTTP status 404"), ("terrainwave/map/worker.js", "module of the worker")],
@@ -352,7 +349,6 @@ def keeping_stills(browser):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize(
     "hash_", ["", "view=46.2,8.25,9.3,30,50", "view=46.25,8.2,9.5,0,0&colours=cividis&shaded=0"]
 )
@@ -380,7 +376,6 @@ def test_the_still_is_the_map_to_come_and_goes_when_it_has(site, keeping_stills,
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_still_is_gone_when_a_user_moves_the_map(site, browser):
     """Without the map's tiles, the still stays until somebody does something."""
     with static_server(site) as server:

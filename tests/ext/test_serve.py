@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -312,10 +313,7 @@ def test_damaged_files_are_one_line(tmp_path):
 
 
 def test_faults_of_our_own_show_no_traceback(hilly, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("secret")
-
-    monkeypatch.setattr(tiling, "rgb_tile", fail)
+    monkeypatch.setattr(tiling, "rgb_tile", Mock(side_effect=RuntimeError("secret")))
     with client_of(hilly) as client:
         answer = client.get("/hills/rgb/0/0/0.png")
     assert answer.status_code == 500

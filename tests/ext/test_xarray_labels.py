@@ -370,19 +370,6 @@ def test_all_declared_values_mark_voids_and_the_first_finite_one_is_stored(tmp_p
         assert (found[~valid] == -9999).all()
 
 
-@pytest.mark.parametrize(
-    ("nodata", "stored", "voids"),
-    [(-9999, -9999, (0, -1, -9999)), ("only:-9999", -9999, (-9999,)), ("none", None, ())],
-)
-def test_nodata_that_is_asked_for_adds_to_what_is_declared_or_replaces_it(nodata, stored, voids):
-    heights = HEIGHTS.copy()
-    heights.ravel()[:3] = 0, -1, -9999
-    array = labelled(heights=heights, attrs={"_FillValue": 0, "missing_value": -1})
-    _, valid, info, _ = read(array, nodata=nodata)
-    assert info.nodata == stored
-    np.testing.assert_array_equal(valid, ~np.isin(heights, voids))
-
-
 def test_packed_fill_values_of_decoded_arrays_are_no_heights():
     # Packed 0 was void and is NaN now; a height of 0.0 is one.
     heights = (HEIGHTS * 0.1).astype("float64")

@@ -105,7 +105,6 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
             assert area_problems(terrain, case, mesh, region, of_one_level, error) == []
 
 
-@pytest.mark.large
 @pytest.mark.full
 @pytest.mark.parametrize(("void", "share"), [("none", 1), ("disc", 4), ("corners", 1)])
 def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
@@ -135,7 +134,6 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
 def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
     """Beside finer ones where the coarse level has samples on the edge; 214 - 1 is odd."""
@@ -239,7 +237,6 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
 def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
     """Outlines of voids took the budget, so that the mesh was one of a far coarser level."""

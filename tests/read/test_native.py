@@ -11,6 +11,7 @@ import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -274,11 +275,16 @@ def test_damage_is_told_and_masked_the_same(method, with_library):
 @pytest.mark.native
 @pytest.mark.full
 def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
-    def refuse(self, level, region, *, is_own):
-        raise native.NativeError(native_library.Failure(native_library.CORRUPT, b"bits of straw"))
-
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    monkeypatch.setattr(native.NativeFile, "window", refuse)
+    monkeypatch.setattr(
+        native.NativeFile,
+        "window",
+        Mock(
+            side_effect=native.NativeError(
+                native_library.Failure(native_library.CORRUPT, b"bits of straw")
+            )
+        ),
+    )
     with terrainwave.open(data) as terrain:
         with pytest.warns(TerrainwaveWarning, match=r"bits of straw.*please report it"):
             heights = terrain.read()

@@ -65,7 +65,6 @@ def copied_units(before, after):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize(
     "options",
     [
@@ -83,7 +82,6 @@ def test_a_lossless_file_becomes_that_of_the_new_raster(file, options):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 3])
 @pytest.mark.parametrize("new", some([changed(with_voids(HEIGHTS)), with_voids(HEIGHTS)], 2))
@@ -100,7 +98,6 @@ def test_the_result_is_within_the_bound_and_true(file, tmp_path, method, max_err
     assert result.measured_error <= max_error
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(("method", "rings"), [("predictive", 1), ("predictive", 3), ("rapid", 1)])
 def test_the_same_raster_changes_nothing(file, method, rings):
     path = file(with_voids(HEIGHTS), max_error=3, nodata=NODATA, border_rings=rings, method=method)
@@ -130,7 +127,6 @@ def placed(tmp_path):
     return make
 
 
-@pytest.mark.large
 def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
     placed = placed(0)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", 30, 5, 80, 70)
@@ -208,7 +204,6 @@ def write_whole(heights, path):
 MIDDLE = (60, 20, 9, 9)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(("mesh", "old"), [("none", HEIGHTS), ("halves", with_voids(HEIGHTS))])
 def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
     """It asked for a raster that reaches further, however far that reached."""
@@ -247,7 +242,6 @@ def moved(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, tmp_path):
     path, new = moved, HEIGHTS
     for row, col in ((60, 20), (20, 60), (100, 40)):
@@ -275,7 +269,6 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
     assert "of it from an earlier file" not in CliRunner().invoke(main, ["info", str(path)]).output
 
 
-@pytest.mark.large
 def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path, monkeypatch):
     """What stored heights stand in for is half a step and all earlier moves away from them."""
     measure, added = patcher.measure_meshes, []
@@ -291,7 +284,6 @@ def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path,
     assert added == [0, 4]
 
 
-@pytest.mark.large
 def test_with_the_original_the_bound_stays(placed, tmp_path):
     path = placed(2)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
@@ -325,7 +317,6 @@ def test_heights_on_fixed_steps_stay_beyond_the_new_raster(tmp_path, dtype, boun
     assert apart.max() <= bound
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 2])
 def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_error):
     """It undid that patch without a word."""
@@ -397,7 +388,6 @@ def test_an_original_of_another_size_is_refused(placed, tmp_path):
         patch(path, tmp_path / "new.tif", original=tmp_path / "new.tif")
 
 
-@pytest.mark.large
 def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch):
     path = placed(2)
     before = path.read_bytes()
@@ -408,7 +398,6 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     assert path.read_bytes() == before
 
 
-@pytest.mark.large
 def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
     placed = placed(2)
     before = placed.read_bytes()
@@ -417,7 +406,6 @@ def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
     assert placed.read_bytes() == before
 
 
-@pytest.mark.large
 def test_readers_keep_the_old_file(file):
     path = file(HEIGHTS, max_error=0)
     with Terrain(path) as terrain:
@@ -594,7 +582,6 @@ def test_heights_between_the_files_steps_are_refused(file):
         patch(path, heights)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("has_less", [False, True])
 def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, has_less):

@@ -330,7 +330,6 @@ def split(request, tmp_path):
         yield lambda voids: SplitPyramids(request.param, voids, tmp_path, executor)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
 def test_a_base_has_the_same_levels_above_it(split, voids):
     pyramids = split(voids)
@@ -348,7 +347,6 @@ def test_a_base_has_the_same_levels_above_it(split, voids):
         np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.fills.read(base))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
 @pytest.mark.parametrize("region", [PARTS[0], PARTS[4], PARTS[8], Region(37, 61, 40, 33)])
 def test_a_part_has_the_same_levels(split, voids, region):
