@@ -29,8 +29,13 @@ def environment(**variables):
 
 def python(code, *words, **options):
     """Run code in a process of its own; its output is text."""
+    return python_with(["-c", code, *words], **options)
+
+
+def python_with(arguments, **options):
+    """Run this Python with arguments; its output is text."""
     options = {"capture_output": True, "text": True, "check": False, "timeout": 400} | options
-    command = [sys.executable, "-c", code, *map(str, words)]
+    command = [sys.executable, *map(str, arguments)]
     return subprocess.run(command, **{"env": environment()} | options)
 
 

@@ -2,13 +2,12 @@
 
 import ast
 import re
-import subprocess
-import sys
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
 import pytest
+from commands import python
 
 from terrainwave.names import METHODS, Method
 
@@ -339,7 +338,7 @@ HEAVY = (
 
 def test_importing_terrainwave_needs_no_heavy_library_and_no_table():
     code = f"import sys, terrainwave; print({{*{HEAVY!r}}} & {{*sys.modules}})"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
+    assert python(code).stdout == "set()\n"
 
 
 @pytest.mark.parametrize(
@@ -353,6 +352,6 @@ def test_importing_terrainwave_needs_no_heavy_library_and_no_table():
 def test_options_of_methods_and_their_help_need_no_heavy_library(code):
     heavy = "print(sorted({'numba', 'rasterio', 'numpy', 'pyproj'} & {*sys.modules}))"
     program = f"import atexit, sys; atexit.register(lambda: {heavy}); {code}"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = python(program)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"

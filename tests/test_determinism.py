@@ -1,12 +1,10 @@
 """The same raster gives the same bytes: threads, order, runs, kinds of sources."""
 
 import hashlib
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from commands import environment, python
 from containers import open_container
 from strategies import terrain_like, write_geotiff
 from twz import grouped, twz_bytes
@@ -117,8 +115,8 @@ def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, 
     target = tmp_path / "there.twz"
     own = grouped(options_of(method) | {"method": method})["method"]
     asked = repr(own) if isinstance(own, str) else own.call()
-    arguments = [sys.executable, "-c", code, tmp_path / "heights.npy", target, asked]
-    subprocess.run(arguments, env={**os.environ, "PYTHONHASHSEED": "77"}, check=True)
+    elsewhere = environment(PYTHONHASHSEED="77")
+    python(code, tmp_path / "heights.npy", target, asked, env=elsewhere, check=True)
     assert hashlib.sha256(target.read_bytes()).digest() == hashlib.sha256(expected).digest()
 
 

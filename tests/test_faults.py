@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import python_with
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
@@ -334,11 +335,10 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
     few = "--side 200 --kills 1 --signals 2 --disks 1 --pairs 1 --forks 1 --opens 10".split()
-    subprocess.run(
-        [sys.executable, "-m", "faults.run", *few, "--out", str(tmp_path)],
-        check=True,  # its status is 1 where a trial found a fault
-        cwd=Path(__file__).parent.parent,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    words = ["-m", "faults.run", *few, "--out", tmp_path]
+    # Its status is 1 where a trial found a fault.
+    python_with(
+        words, check=True, cwd=Path(__file__).parents[1], timeout=None, capture_output=False
     )
     names = {path.stem.removeprefix("faults_") for path in tmp_path.glob("*.csv")}
     assert names == {"kills", "signals", "disk", "writers", "opens", "readers", "network"}

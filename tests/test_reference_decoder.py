@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 import zlib
 from itertools import product
 from pathlib import Path
@@ -12,6 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from cases import some
+from commands import python, python_with
 from conformance import rapid as any_rapid
 from golden_files import GOLDEN
 from reference import bilinear_error
@@ -881,8 +880,7 @@ def test_of_damaged_payloads_the_library_rejects_those_that_format_calls_corrupt
 
 
 def as_a_program(*words):
-    command = [sys.executable, "-m", "terrainwave.reference", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return python_with(["-m", "terrainwave.reference", *words])
 
 
 def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
@@ -896,7 +894,7 @@ def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
     np.testing.assert_array_equal(mask, valid)
     np.testing.assert_array_equal(found[valid], heights[valid])
     code = "import sys, terrainwave.reference.units; sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python(code).returncode == 0
 
 
 @pytest.mark.parametrize(

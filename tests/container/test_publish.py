@@ -9,6 +9,7 @@ import textwrap
 from unittest.mock import Mock
 
 import pytest
+from commands import environment, python
 from container.toys import toy_header, toy_spools
 from containers import open_container
 
@@ -288,7 +289,7 @@ def start(script, argument):
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(argument)],
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        env=environment(),
     )
     assert process.stdout.readline().strip() == b"ready"
     return process
@@ -440,11 +441,7 @@ def test_what_a_kill_before_any_file_operation_leaves_is_removed_by_the_next_run
     tmp_path, used, arguments
 ):
     script = textwrap.dedent(KILLED_EVERYWHERE.format(used=used, arguments=arguments))
-    subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path)],
-        check=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )
+    python(script, tmp_path, check=True, capture_output=False)
 
 
 def test_a_scratch_directory_in_a_missing_place_is_a_storage_error(tmp_path):

@@ -264,9 +264,7 @@ def test_radians_are_no_degrees(unit, crs):
         y_attrs={"units": unit, "standard_name": "latitude"},
     )
     array = array if crs is None else array.rio.write_crs(crs)
-    with pytest.raises(
-        InvalidHeightsError, match=f"is in {unit}, (and no CRS|the unit of its CRS is deg)"
-    ):
+    with pytest.raises(InvalidHeightsError, match=f"is in {unit}, (and no CRS|.* deg)"):
         read(array)
 
 

@@ -2,13 +2,12 @@
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from commands import environment, python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import (
@@ -318,14 +317,8 @@ def kernel_meshes():
 @pytest.mark.full
 def test_kernels_give_the_same_meshes_as_plain_python():
     code = "import json, sys, test_mesh; json.dump(test_mesh.kernel_meshes(), sys.stdout)"
-    environment = os.environ | {
-        "NUMBA_DISABLE_JIT": "1",
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-    }
-    ran = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True,
-        cwd=os.path.dirname(__file__),
-    )  # fmt: skip
+    without = environment(NUMBA_DISABLE_JIT="1")
+    ran = python(code, env=without, check=True, cwd=os.path.dirname(__file__))
     assert json.loads(ran.stdout) == kernel_meshes()
 
 

@@ -1,15 +1,13 @@
 """Heights above the ellipsoid: by a grid that the tests write, or not at all."""
 
 import json
-import os
-import subprocess
-import sys
 import warnings
 
 import numpy as np
 import pyproj
 import pytest
 import rasterio
+from commands import environment, python_with
 from place.grids import undulation, write_geotiff, write_gtx
 from quantized_mesh import read_tile
 from twz import twz_bytes
@@ -336,11 +334,8 @@ def test_other_frames_and_words_are_refused(tmp_path):
         to_frame(mesh, "ecef", vertical="geoid")
 
 
-def run(*args, **env):
-    return subprocess.run(
-        [sys.executable, "-m", "terrainwave", *map(str, args)],
-        capture_output=True, text=True, check=False, env=os.environ | env,
-    )  # fmt: skip
+def run(*args, **variables):
+    return python_with(["-m", "terrainwave", *args], env=environment(**variables))
 
 
 @pytest.mark.full

@@ -7,7 +7,6 @@ import json
 import os
 import pickle
 import subprocess
-import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -15,9 +14,10 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from commands import environment, python
 from conformance import library as reader
 from golden_files import GOLDEN
-from native_site import ROOT, found_at
+from native_site import found_at
 from strategies import terrain_like
 from twz import twz_bytes
 
@@ -353,11 +353,8 @@ def test_a_first_read_imports_no_compiler(library):
         "print(*sorted({'numba', 'llvmlite', 'pyproj'} & set(sys.modules)))\n"
     )
     for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
-        run = subprocess.run(
-            [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-int16-lossless.twz"],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), native_library.SWITCH: switch},
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
+        switched, golden = environment(**{native_library.SWITCH: switch}), GOLDEN / "v2"
+        run = python(code, golden / "rapid-int16-lossless.twz", env=switched, check=True)
         assert run.stdout.strip() == imported
 
 

@@ -356,10 +356,7 @@ def test_the_range_that_is_refused_is_that_of_the_new_raster(placed, tmp_path, w
     high[0, 0] = HEIGHTS.max() + 100
     write_geotiff(tmp_path / "new.tif", high, crs="EPSG:32610", transform=(2, 0, 1040, 0, -2, 4880))
     original = tmp_path / "old.tif" if with_original else None
-    with pytest.raises(
-        InvalidHeightsError,
-        match=f"^the new raster has heights from {high.min()} to {high.max()}, the file can hold",
-    ):
+    with pytest.raises(InvalidHeightsError, match=f"from {high.min()} to {high.max()}, the file"):
         patch(placed(2), tmp_path / "new.tif", original=original)
 
 
@@ -463,10 +460,7 @@ def test_other_methods_are_refused_with_advice(tmp_path, file, method):
     write_geotiff(tmp_path / "new.tif", SMALL)
     result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
     assert result.exit_code == 1
-    assert (
-        "only files of method rapid or predictive can be patched: compress the whole"
-        in result.stderr
-    )
+    assert "only files of method rapid or predictive can be patched" in result.stderr
 
 
 LOWEST, HIGHEST = int(SMALL.min()), int(SMALL.max())
@@ -512,9 +506,7 @@ def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
 
 
 def test_a_range_that_the_type_lacks_is_refused(tmp_path):
-    with pytest.raises(
-        InvalidHeightsError, match=r"from -5 to 1e\+06 .* expected heights of int16"
-    ):
+    with pytest.raises(InvalidHeightsError, match=r"from -5 to 1e\+06 .* int16"):
         terrainwave.compress(SMALL, tmp_path / "a.twz", height_range=(-5, 1e6))
 
 
