@@ -1,7 +1,6 @@
 """Are the import rules of ARCHITECTURE.md kept?"""
 
 import ast
-import re
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -13,8 +12,6 @@ from terrainwave.names import METHODS, Method
 
 REPOSITORY = Path(__file__).parent.parent
 PACKAGE = REPOSITORY / "src" / "terrainwave"
-PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
-
 ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "forks", "cache"}
 ROOT |= {"interrupts", "option_sets", "annexes", "native_sources"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
@@ -131,15 +128,6 @@ def imported_groups(path):
 
 def test_every_module_has_a_line():
     assert {group_of(path) for path in modules()} - ENTRANCES <= set(MAY_IMPORT)
-
-
-def exists(path):
-    return path.is_dir() or path.with_suffix(".py").is_file()
-
-
-def test_paths_in_the_plan_exist():
-    for path in re.findall(r"`([\w./-]+(?:/|\.(?:py|md)))`", PLAN):
-        assert any((folder / path).exists() for folder in (PACKAGE, REPOSITORY)), path
 
 
 def test_modules_import_only_what_their_room_may():

@@ -22,7 +22,6 @@ from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveError
 
 TABLE = json.loads((Path(__file__).parents[1] / "http_cases.json").read_text(encoding="utf-8"))
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "remote.md"
 POLICY = TABLE["policy"]
 DATA = bytes(i * 7 % 251 for i in range(40_000))
 WHERE, LENGTH = 30_000, 100
@@ -186,20 +185,13 @@ def test_parts_are_asked_for_uncompressed(waits):
         assert {request.headers["Accept-Encoding"] for request in server.asked} == {"identity"}
 
 
-def test_the_numbers_are_those_of_the_table_and_of_the_page():
+def test_the_numbers_are_those_of_the_table():
     assert {str(status) for status in module._BUSY} == set(POLICY["retried"])
     assert list(module._DELAYS) == POLICY["delays"]
     assert POLICY["longest_wait"] == module.MAX_WAIT
     assert POLICY["silence"] == module.TIMEOUT
     assert POLICY["least_rate"] == module.LEAST_RATE
     assert POLICY["whole_mib"] << 20 == module.MAX_WHOLE
-    page = PAGE.read_text(encoding="utf-8")
-    assert ", ".join(POLICY["retried"]) in page
-    first, second = POLICY["delays"]
-    assert f"after {first:g} and {second:g} seconds" in page
-    assert f"at most {POLICY['longest_wait']} seconds" in page
-    assert f"{POLICY['silence']} seconds without a byte" in page
-    assert f"{POLICY['whole_mib']} MiB" in page
 
 
 def test_waiting_ends_when_the_file_is_closed(monkeypatch):
