@@ -141,12 +141,6 @@ def test_decompress_window_bounds_and_level(tmp_path, twz):
     np.testing.assert_array_equal(read_geotiff(level)[0], half)
 
 
-def test_decompress_makes_a_cog(tmp_path, twz):
-    assert run("decompress", twz, tmp_path / "a.tif", "--cog", "--threads", 2).exit_code == 0
-    with rasterio.open(tmp_path / "a.tif") as dataset:
-        assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-
-
 def test_info_json_is_complete(twz):
     fields = json.loads(run("info", twz, "--json", "--errors", "measured").stdout)
     assert (fields["n_rows"], fields["n_cols"]) == (150, 140)

@@ -508,18 +508,6 @@ def test_crs_from_a_file_fetches_no_url():
     assert not requests
 
 
-def test_existing_target_is_refused_without_overwrite(tmp_path):
-    path = tmp_path / "a.tif"
-    path.write_bytes(b"mine")
-    info = RasterInfo(2, 2, "int16")
-    with pytest.raises(StorageError, match="already exists"):
-        RasterSink(path, info)
-    assert path.read_bytes() == b"mine"
-    write_all(path, info, np.zeros((2, 2), "int16"), np.ones((2, 2), bool), overwrite=True)
-    assert path.read_bytes()[:2] == b"II"
-    assert file_names(tmp_path) == ["a.tif"]
-
-
 @pytest.mark.parametrize("cog", [False, True])
 def test_interrupted_writing_leaves_the_target_as_it_was(tmp_path, cog):
     path = tmp_path / "a.tif"
