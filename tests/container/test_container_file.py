@@ -1,7 +1,7 @@
 """Whole files: what is written comes back, the same bytes for any order, random access."""
 
 import io
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -183,11 +183,8 @@ def test_eight_threads_read_what_one_reads():
             if container.payload(keys[i]) != toy_payload(keys[i]):
                 wrong.append(keys[i])
 
-    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
     assert not wrong
 
 

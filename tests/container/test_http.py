@@ -12,11 +12,11 @@ import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from servers import running
 
 from terrainwave.container.sources import url as module
 from terrainwave.container.sources.addresses import display_name, without_secrets
@@ -149,17 +149,8 @@ class Server(ThreadingHTTPServer):
         pass
 
 
-@contextmanager
 def serving(**options):
-    server = Server(**options)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    return running(Server(**options))
 
 
 @pytest.fixture

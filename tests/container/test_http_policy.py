@@ -16,6 +16,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from servers import running
 
 from terrainwave.container.sources import url as module
 from terrainwave.container.sources.opening import open_source
@@ -92,15 +93,9 @@ def serving(replies):
     server.daemon_threads = True
     server.replies, server.asked, server.woken = list(replies), [], threading.Event()
     server.handle_error = lambda *_: None
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
+    with running(server):
         yield server, f"http://127.0.0.1:{server.server_port}"
-    finally:
         server.woken.set()
-        server.shutdown()
-        thread.join()
-        server.server_close()
 
 
 @pytest.fixture

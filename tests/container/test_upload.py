@@ -2,7 +2,6 @@
 
 from unittest.mock import Mock
 
-import fsspec
 import pytest
 from click.testing import CliRunner
 from fsspec.implementations.memory import MemoryFileSystem
@@ -13,13 +12,6 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError, StorageError
 
 OPTIONS = {"method": "store", "mesh": "none", "block": 32, "max_error": 1}
-
-
-@pytest.fixture
-def memory():
-    files = fsspec.filesystem("memory")
-    yield files
-    files.store.clear()
 
 
 @pytest.fixture

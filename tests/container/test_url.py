@@ -3,8 +3,6 @@
 import os
 import pickle
 import re
-import threading
-from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from unittest.mock import Mock
 
@@ -13,6 +11,7 @@ import pytest
 from container.toys import forge, toy_file, toy_header, toy_payload
 from containers import open_container
 from forks import holds_in_a_fork
+from servers import running
 
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.sources.opening import open_source
@@ -37,7 +36,6 @@ class Handler(BaseHTTPRequestHandler):
         server, path = self.server, self.path.partition("?")[0]
         fault = server.faults.get(path)
         server.requests.append((path, self.headers.get("Range"), self.client_address))
-        server.logins.append(self.headers.get("Authorization"))
         if isinstance(fault, int) and fault >= 300:
             return self.reply(fault, b"no")
         if isinstance(fault, str) and fault.startswith("->"):
@@ -84,7 +82,7 @@ class Server(ThreadingHTTPServer):
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), Handler)
-        self.files, self.faults, self.requests, self.logins = {}, {}, [], []
+        self.files, self.faults, self.requests = {}, {}, []
         self.n_bytes = 0
         self.etags = {}
 
@@ -103,17 +101,8 @@ def server(monkeypatch):
         yield running
 
 
-@contextmanager
 def running_server():
-    running = Server()
-    thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield running
-    finally:
-        running.shutdown()
-        thread.join()
-        running.server_close()
+    return running(Server())
 
 
 def test_a_large_file_opens_with_one_request_of_16_kib(server):
@@ -235,15 +224,6 @@ def test_a_pickled_url_is_opened_again(server):
         copy = pickle.loads(pickle.dumps(container))
     assert copy.payload(Block(-1, 0, 0)) == toy_payload(Block(-1, 0, 0))
     copy.close()
-
-
-@pytest.fixture
-def memory():
-    import fsspec
-
-    files = fsspec.filesystem("memory")
-    yield files
-    files.store.clear()
 
 
 def test_fsspec_reads_exact_ranges(memory):

@@ -8,8 +8,8 @@ import shutil
 import socketserver
 import sys
 import tempfile
-import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -375,11 +375,8 @@ def test_many_threads_read_the_same_heights(tmp_path):
                 if (found != heights[row : row + 100, col : col + 100]).any():
                     wrong.append((row, col))
 
-        threads = [threading.Thread(target=read_some, args=(seed,)) for seed in range(6)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(6) as pool:
+            list(pool.map(read_some, range(6)))
     assert not wrong
 
 
