@@ -39,12 +39,13 @@ def grids(tmp_path, monkeypatch):
     pyproj.datadir.set_data_dir(before)
 
 
-def raster(tmp_path, crs, heights, *, nodata=None, units=None, **options):
-    """Return the path of a .twz file around 10.2 E, 46.1 N."""
+def raster(tmp_path, crs, heights, *, place=None, nodata=None, units=None, **options):
+    """Return the path of a .twz file; `place` is (pixel, left, top), by default 10.2 E, 46.1 N."""
     path = tmp_path / "dem.twz"
-    transform = rasterio.Affine(1e-3, 0, 10.2, 0, -1e-3, 46.1)
-    if not pyproj.CRS.from_user_input(crs).is_geographic:
-        transform = rasterio.Affine(90, 0, 590000, 0, -90, 5105000)
+    if place is None:
+        is_geographic = pyproj.CRS.from_user_input(crs).is_geographic
+        place = (1e-3, 10.2, 46.1) if is_geographic else (90, 590000, 5105000)
+    transform = rasterio.Affine(place[0], 0, place[1], 0, -place[0], place[2])
     with rasterio.open(
         "", "w+", driver="MEM", height=N, width=N, count=1, dtype=heights.dtype, crs=crs,
         transform=transform, nodata=nodata,
@@ -202,13 +203,7 @@ def test_what_the_geoid_bends_under_triangles_is_in_the_error(tmp_path, monkeypa
 
     monkeypatch.setattr(module, "undulation", lambda lon, lat: 40 + 300 * (lon - 10) ** 2)
     write_geotiff(grids / "us_nga_egm96_15.tif")
-    path = tmp_path / "flat.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs=EGM96,
-        transform=rasterio.Affine(0.1, 0, 9, 0, -0.1, 48),
-    ) as dataset:  # fmt: skip
-        dataset.write(np.zeros((1, N, N), np.float32))
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, EGM96, np.zeros((N, N), np.float32), place=(0.1, 9, 48))
     with terrainwave.open(path) as terrain:
         mesh = terrain.mesh(max_error=1.0)
         found = to_frame(mesh, "ecef", vertical="ellipsoid")
@@ -279,13 +274,7 @@ def test_a_missing_grid_is_named_with_the_command_that_fetches_it(tmp_path):
 def test_a_second_best_operation_does_not_stand_in_for_the_best(tmp_path, grids):
     # PROJ's first way from NAP needs two files, its second one the first of them
     write_geotiff(grids / "nl_nsgi_nlgeo2018.tif")
-    path = tmp_path / "dem.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs="EPSG:7415",
-        transform=rasterio.Affine(90, 0, 155000, 0, -90, 463000),
-    ) as dataset:  # fmt: skip
-        dataset.write(hills(), 1)
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, "EPSG:7415", hills(), place=(90, 155000, 463000))
     with pytest.raises(InvalidHeightsError, match=r"PROJ's nl_nsgi_rdtrans2018\.tif to become"):
         terrainwave.decompress(path, tmp_path / "a.tif", vertical="ellipsoid")
 
@@ -310,13 +299,7 @@ def test_a_crs_without_a_vertical_datum_is_refused(tmp_path):
 
 
 def test_a_grid_that_ends_within_the_raster_is_told(tmp_path, grids):
-    path = tmp_path / "dem.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs=EGM96,
-        transform=rasterio.Affine(0.1, 0, 3.5, 0, -0.1, 46.1),
-    ) as dataset:  # fmt: skip
-        dataset.write(hills()[None])
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, EGM96, hills(), place=(0.1, 3.5, 46.1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(InvalidHeightsError, match=r"egm96_15\.tif does not cover all"):

@@ -332,21 +332,24 @@ def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_e
     patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
 
 
-@pytest.mark.parametrize("method", ["predictive", "rapid"])
-def test_a_patch_brings_the_first_voids_to_a_file(file, method):
-    options = {"max_error": 2, "mesh": "none", "nodata": NODATA, "method": method}
-    path = file(HEIGHTS, **options)
+def assert_own_samples_are_those_of(path, new):
+    """Check which samples of all levels are valid, and all that `check` does."""
     with Terrain(path) as terrain:
-        assert not terrain.header.has_voids
-    new = with_voids(HEIGHTS)
-    patch(path, new, nodata=NODATA)
-    with Terrain(path) as terrain:
-        assert terrain.header.has_voids
         for level in range(terrain.n_levels):
             stride = terrain.grid.stride(level)
             _, valid = terrain.read_with_mask(level=level)
             np.testing.assert_array_equal(valid, (new != NODATA)[::stride, ::stride])
         assert list(terrain.check()) == []
+
+
+@pytest.mark.parametrize("method", ["predictive", "rapid"])
+def test_a_patch_brings_the_first_voids_to_a_file(file, method):
+    path = file(HEIGHTS, max_error=2, mesh="none", nodata=NODATA, method=method)
+    for new, has_voids in ((HEIGHTS, False), (with_voids(HEIGHTS), True)):
+        patch(path, new, nodata=NODATA)
+        with Terrain(path) as terrain:
+            assert terrain.header.has_voids == has_voids
+    assert_own_samples_are_those_of(path, new)
 
 
 @pytest.mark.parametrize("with_original", [False, True])
@@ -585,12 +588,7 @@ def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, has_les
         new[40, 72] = HEIGHTS[40, 72]
     path = file(old, **options)
     assert patch(path, new, nodata=NODATA).n_recoded > 0
-    with Terrain(path) as terrain:
-        for level in range(terrain.n_levels):
-            stride = terrain.grid.stride(level)
-            _, valid = terrain.read_with_mask(level=level, voids="exact")
-            np.testing.assert_array_equal(valid, (new != NODATA)[::stride, ::stride])
-        assert list(terrain.check()) == []
+    assert_own_samples_are_those_of(path, new)
     # So small a raster has no tables of its own; a unit whose fills alone would differ is copied.
     if method == "predictive" and has_less:
         assert path.read_bytes() == twz_bytes(new, **options)
