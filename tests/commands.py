@@ -22,21 +22,34 @@ def _with_default_signals():
         signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
+def environment(**variables):
+    """Return the variables of a process that imports what this one does."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)} | variables
+
+
+def python(code, *words, **options):
+    """Run code in a process of its own; its output is text."""
+    return python_with(["-c", code, *words], **options)
+
+
+def python_with(arguments, **options):
+    """Run this Python with arguments; its output is text."""
+    options = {"capture_output": True, "text": True, "check": False, "timeout": 400} | options
+    command = [sys.executable, *map(str, arguments)]
+    return subprocess.run(command, **{"env": environment()} | options)
+
+
 def start(*args, **options):
     """Start a command in a process of its own."""
     program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
     return subprocess.Popen(
         [sys.executable, "-c", program, *map(str, args)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options,
         encoding="utf-8",
         # What was started in the background of a shell ignores Ctrl-C, what nohup started SIGHUP,
         # and both hand that on.
         preexec_fn=None if sys.platform == "win32" else _with_default_signals,
-        env=os.environ
-        | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
-        **options,
+        env=environment(PYTHONIOENCODING="utf-8"),
     )
 
 

@@ -57,11 +57,6 @@ def test_the_layout_is_that_of_the_document(annex, document, number):
     ]
 
 
-@pytest.mark.parametrize(("annex", "document", "number"), BINARY)
-def test_the_text_says_which_file_it_describes(annex, document, number):
-    assert f"`{annex.ANNEX}`" in section(document, number)
-
-
 def test_the_tools_that_train_write_the_files():
     """What they train, here the tables in use, lies where readers look for it."""
     pytest.importorskip("scipy")

@@ -1,12 +1,10 @@
 """Do kernels of numba's own compiler read and write the bytes that ours do?"""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import environment, python
 
 ROOT = Path(__file__).parent.parent
 # Files of the methods of the default, one with a mesh; the workflow `next` runs all tests so.
@@ -30,15 +28,11 @@ print(json.dumps(found))
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_golden_files_are_read_and_written_alike_by_both_compilers(tmp_path):
     found = {}
     for compiler in ("fast", "plain"):
-        done = subprocess.run(
-            [sys.executable, "-c", WORKER, str(tmp_path), *NAMES],
-            env={**os.environ, "TERRAINWAVE_COMPILER": compiler},
-            cwd=ROOT, capture_output=True, text=True,
-        )  # fmt: skip
+        chosen = environment(TERRAINWAVE_COMPILER=compiler)
+        done = python(WORKER, tmp_path, *NAMES, env=chosen, cwd=ROOT, timeout=None)
         assert done.returncode == 0, done.stderr
         found[compiler] = json.loads(done.stdout.splitlines()[-1])
         assert found[compiler].pop("compiler") == compiler

@@ -1,12 +1,10 @@
 """The same raster gives the same bytes: threads, order, runs, kinds of sources."""
 
 import hashlib
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from commands import environment, python
 from containers import open_container
 from strategies import terrain_like, write_geotiff
 from twz import grouped, twz_bytes
@@ -39,7 +37,6 @@ def expected(method):
     return twz_bytes(HEIGHTS, method=method, **options_of(method))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("threads", [1, 2, 7])
 def test_the_number_of_threads_does_not_matter(method, expected, threads):
     assert twz_bytes(HEIGHTS, method=method, threads=threads, **options_of(method)) == expected
@@ -74,7 +71,6 @@ class ShuffledCrew(Crew):
             waiting += work(waiting.pop(int(rng.integers(len(waiting)))))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, expected, seed):
     monkeypatch.setattr(ShuffledCrew, "seed", seed)
@@ -83,7 +79,6 @@ def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, exp
     assert twz_bytes(HEIGHTS, method=method, **options_of(method)) == expected
 
 
-@pytest.mark.large
 def test_spooling_to_disk_does_not_matter(monkeypatch, method, expected):
     monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", 0)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 100)
@@ -91,7 +86,6 @@ def test_spooling_to_disk_does_not_matter(monkeypatch, method, expected):
     assert twz_bytes(HEIGHTS, method=method, **options_of(method)) == expected
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     "same",
     [
@@ -111,7 +105,6 @@ def test_a_second_run_gives_the_same_bytes():
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, method):
     np.save(tmp_path / "heights.npy", HEIGHTS)
     code = (
@@ -122,8 +115,8 @@ def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, 
     target = tmp_path / "there.twz"
     own = grouped(options_of(method) | {"method": method})["method"]
     asked = repr(own) if isinstance(own, str) else own.call()
-    arguments = [sys.executable, "-c", code, tmp_path / "heights.npy", target, asked]
-    subprocess.run(arguments, env={**os.environ, "PYTHONHASHSEED": "77"}, check=True)
+    elsewhere = environment(PYTHONHASHSEED="77")
+    python(code, tmp_path / "heights.npy", target, asked, env=elsewhere, check=True)
     assert hashlib.sha256(target.read_bytes()).digest() == hashlib.sha256(expected).digest()
 
 
@@ -148,7 +141,6 @@ def wide_files(tmp_path_factory):
     return found
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("name", [name for name in PROFILES if name != "tiles"])
 def test_the_blocks_of_a_geotiff_do_not_matter(wide_files, name):
     assert wide_files[name] == wide_files["tiles"]
@@ -162,7 +154,6 @@ def contents(data):
         return payloads, [container.codes(block) for layout in layouts for block in layout.blocks]
 
 
-@pytest.mark.large
 def test_an_array_gives_the_payloads_of_a_geotiff(wide_files):
     # Their metadata differ: a GeoTIFF says what its pixels stand for.
     assert contents(twz_bytes(WIDE, max_error=2)) == contents(wide_files["tiles"])

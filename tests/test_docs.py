@@ -70,7 +70,6 @@ def test_commands_that_are_only_shown_exist():
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path, tmp_path):
     import nbformat  # here: it takes six seconds, of each worker
@@ -89,7 +88,6 @@ def test_every_page_has_a_place_in_the_site():
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_the_site_builds_without_a_warning(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", tmp_path / "site"],

@@ -1,13 +1,12 @@
 """Does every example run, and do the README's snippets?"""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import python_with
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
@@ -16,16 +15,9 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-W", "error", path],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python_with(["-W", "error", path], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 

@@ -4,13 +4,13 @@ import ast
 import json
 import pickle
 import re
-import subprocess
 import sys
 import tomllib
 from itertools import chain
 from pathlib import Path
 
 import pytest
+from commands import python
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
@@ -93,8 +93,6 @@ def test_what_is_imported_is_required_and_the_other_way_round():
     assert always <= imported <= always | optional | of_fastapi | hosts
 
 
-# Each command names the extra that has all it needs.
-
 COMMANDS = {
     "view": ("view", ["view", "TWZ"]),
     "render": ("view", ["render", "TWZ", "a.png"]),
@@ -139,10 +137,9 @@ def run_without(packages, folder):
     named = {"TWZ": str(twz), "TIF": str(tif)}
     words = [[named.get(word, word) for word in words] for _, words in COMMANDS.values()]
     (folder / "here").mkdir()
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, json.dumps(sorted(packages)), json.dumps(words)],
-        capture_output=True, text=True, check=True, cwd=folder / "here",
-    )  # fmt: skip
+    done = python(
+        RUN, json.dumps(sorted(packages)), json.dumps(words), check=True, cwd=folder / "here"
+    )
     found = map(json.loads, done.stdout.splitlines())
     return dict(zip(COMMANDS, found, strict=True))
 

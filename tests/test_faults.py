@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from commands import python_with
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
@@ -85,9 +86,6 @@ class FullFile:
         return full_disk if name == "write" else getattr(self._file, name)
 
 
-# A full disk
-
-
 def test_a_full_disk_at_the_end_leaves_the_target_as_it_was(monkeypatch, target):
     # Network and delayed writes fail here first.
     monkeypatch.setattr("terrainwave.container.targets.publication.os.fsync", full_disk)
@@ -137,9 +135,6 @@ def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch
     assert_untouched(tiff)
 
 
-# A source that cannot be read
-
-
 @pytest.mark.parametrize("tiled", [False, True])
 def test_a_truncated_tiff_leaves_the_target_as_it_was(target, tmp_path, tiled):
     blocks = {"blockxsize": 64, "blockysize": 64} if tiled else {"blockysize": 8}
@@ -175,9 +170,6 @@ def test_heights_that_cannot_be_coded_leave_the_target_as_it_was(target):
     with pytest.raises(InvalidHeightsError):
         compress(heights, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
-
-
-# Interruption
 
 
 @pytest.mark.few(5)
@@ -259,9 +251,6 @@ def test_after_a_kill_the_target_is_as_it_was_and_the_next_run_cleans_up(stage, 
         assert np.abs(terrain.read().astype(int) - LARGE).max() <= 1
 
 
-# A decoder that is wrong
-
-
 def wrong_by(monkeypatch, change):
     """Make every decoder return units changed by `change`; encoders stay right."""
     decode = group.decode_unit
@@ -317,9 +306,6 @@ def test_an_error_exactly_at_the_bound_is_not_a_violation(monkeypatch, tmp_path)
     assert result.measured_error == 1
 
 
-# Spools
-
-
 def test_a_damaged_spool_is_noticed(tmp_path, monkeypatch, target, everything_on_disk):
     spill = SegmentSpool._spill
 
@@ -345,19 +331,14 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
     assert_untouched(tiff)
 
 
-# The trials of faults/, fewer of each: figures are in docs/reliability.md.
-
-
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
     few = "--side 200 --kills 1 --signals 2 --disks 1 --pairs 1 --forks 1 --opens 10".split()
-    subprocess.run(
-        [sys.executable, "-m", "faults.run", *few, "--out", str(tmp_path)],
-        check=True,  # its status is 1 where a trial found a fault
-        cwd=Path(__file__).parent.parent,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    words = ["-m", "faults.run", *few, "--out", tmp_path]
+    # Its status is 1 where a trial found a fault.
+    python_with(
+        words, check=True, cwd=Path(__file__).parents[1], timeout=None, capture_output=False
     )
     names = {path.stem.removeprefix("faults_") for path in tmp_path.glob("*.csv")}
     assert names == {"kills", "signals", "disk", "writers", "opens", "readers", "network"}

@@ -12,13 +12,13 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 import tomllib
 import venv
 from pathlib import Path
 
 import pytest
 from packaging.version import Version
+from servers import running
 
 from terrainwave import __version__
 from terrainwave.errors import TerrainwaveError
@@ -80,10 +80,8 @@ def index(tmp_path_factory):
     links = "".join(f'<a href="{path.name}">{path.name}</a>' for path in project.glob("*.whl"))
     (project / "index.html").write_text(f"<!DOCTYPE html><html><body>{links}</body></html>")
     handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=folder)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+    with running(http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)) as server:
         yield f"http://127.0.0.1:{server.server_port}/simple"
-        server.shutdown()
 
 
 @pytest.fixture(scope="module")

@@ -139,9 +139,6 @@ def test_no_file_is_written_where_one_of_them_exists(tmp_path):
     assert (tmp_path / "a_lod1.glb").read_bytes() == b"kept"
 
 
-# Tiles of one file, exported by themselves.
-
-
 def borders(one, other, axis):
     """Return the vertices of two meshes on the line where the first ends, as sets."""
     first, second = one.points, other.points

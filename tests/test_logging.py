@@ -1,12 +1,11 @@
 """The library's logs: named after its modules, and silent until somebody asks for them."""
 
 import logging
-import subprocess
-import sys
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from commands import python
 from ext.static_server import static_server
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
@@ -102,8 +101,7 @@ def test_what_happens_is_logged_by_the_module_it_happens_in(caplog, tmp_path, tw
 
 
 def run(code, *words):
-    command = [sys.executable, "-c", code, *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=True)
+    return python(code, *words, check=True)
 
 
 READ = """

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 import zlib
 from itertools import product
 from pathlib import Path
@@ -12,6 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from cases import some
+from commands import python, python_with
 from conformance import rapid as any_rapid
 from golden_files import GOLDEN
 from reference import bilinear_error
@@ -45,8 +44,6 @@ from terrainwave.reference.rapid_tables import read_rapid_tables
 from terrainwave.reference.units import decode, decode_units, decode_with_own
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
-
-# Rasters ---------------------------------------------------------------------------------------
 
 
 def hills(rng, shape):
@@ -186,7 +183,6 @@ def test_small_rasters_decode_as_format_says(name, method, border_rings):
 
 @VOIDS_OF_INT32
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("name", "method", "border_rings"), pairs(every=2))
 def test_rasters_of_several_levels_decode_as_format_says(name, method, border_rings):
     check_raster(name, [LARGE[method]], method, border_rings)
@@ -324,7 +320,6 @@ def test_golden_files_have_all_that_format_rapid_names():
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("shape", [(2, 1100), (1100, 3)])
 def test_tiles_with_a_held_side_decode_as_format_says(shape):
     rng = np.random.default_rng(0)
@@ -336,7 +331,6 @@ def test_tiles_with_a_held_side_decode_as_format_says(shape):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_tiles_with_held_sides_that_meet_decode_as_format_says():
     # The tile of the first 1025 rows and columns would take long; only its last ones are rough.
     heights = np.zeros((1030, 1028), "int16")
@@ -363,9 +357,6 @@ def test_files_cut_to_a_rate_decode_as_format_says(rate):
     data = twz_bytes(heights, rate=rate, method="cdf53")
     assert len(data) < len(twz_bytes(heights, max_error=0, method="cdf53"))
     check_same(data)
-
-
-# Codes of blocks (§4.4) ------------------------------------------------------------------------
 
 
 @pytest.mark.large
@@ -410,9 +401,6 @@ def test_boxes_and_errors_of_blocks_hold_as_format_says(shape, border_rings):
             if block[0] == 0:
                 break
             block = block[0] - 1, block[1] >> 1, block[2] >> 1
-
-
-# Tables and examples of the document -----------------------------------------------------------
 
 
 def section(number):
@@ -499,9 +487,6 @@ def test_gains_and_weights_are_those_of_format_7_5():
         "LH at t = 0 if LH-along": cdf97.LH_ALONG,
     }
     assert cdf97.WEIGHTS["HL"] == cdf97.WEIGHTS["LH"]
-
-
-# Files that no encoder writes ------------------------------------------------------------------
 
 
 def planes(values, width):
@@ -895,8 +880,7 @@ def test_of_damaged_payloads_the_library_rejects_those_that_format_calls_corrupt
 
 
 def as_a_program(*words):
-    command = [sys.executable, "-m", "terrainwave.reference", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return python_with(["-m", "terrainwave.reference", *words])
 
 
 def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
@@ -910,7 +894,7 @@ def test_the_decoder_is_a_program_that_imports_no_numba(tmp_path):
     np.testing.assert_array_equal(mask, valid)
     np.testing.assert_array_equal(found[valid], heights[valid])
     code = "import sys, terrainwave.reference.units; sys.exit('numba' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python(code).returncode == 0
 
 
 @pytest.mark.parametrize(

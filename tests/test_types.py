@@ -1,13 +1,11 @@
 """What type checkers tell users of the package."""
 
 import inspect
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from commands import environment, python_with
 
 import terrainwave
 
@@ -37,10 +35,9 @@ EXPECTED = {
 def test_mypy_tells_users_of_wrong_keywords_and_of_the_types_of_heights(tmp_path):
     (tmp_path / "user.py").write_text(PROGRAM)
     arguments = ["--strict", "--config-file=", "--follow-imports=silent", "user.py"]
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", *arguments], cwd=tmp_path, capture_output=True, text=True,
-        env=os.environ | {"MYPYPATH": str(SOURCES)}, check=False,
-    )  # fmt: skip
+    done = python_with(
+        ["-m", "mypy", *arguments], cwd=tmp_path, env=environment(MYPYPATH=str(SOURCES))
+    )
     told = dict(
         re.findall(r"^user\.py:(\d+): (?:note|error): (?!.* defined in)(.*)$", done.stdout, re.M)
     )

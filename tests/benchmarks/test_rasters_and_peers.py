@@ -101,6 +101,3 @@ def test_fills_change_void_samples_only_and_stay_on_the_grid():
         np.testing.assert_array_equal(filled.heights[mask], raster.heights[mask])
         assert filled.heights.dtype == np.int16
     assert mask_bytes(mask) > 0
-
-
-# What is timed: the calls of a codec's own user.

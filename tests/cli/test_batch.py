@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from commands import one_line, run, start
+from commands import run, start
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
@@ -84,9 +84,6 @@ def test_what_is_there_is_skipped_kept_or_replaced(tmp_path, dems, files):
     assert files[0].read_bytes() == b"mine"
     assert run(*arguments, "--overwrite").exit_code == 0
     assert [file.read_bytes() for file in files] == before
-
-
-# --- --skip-existing: what is there counts only if it is what the command would make
 
 
 def in_json(done, paths):
@@ -342,6 +339,8 @@ def test_a_missing_original_is_a_failure_of_its_file(tmp_path, dems, files):
     assert done.exit_code == 1
     assert f"{files[2]}: found no raster c in" in done.stderr
     assert done.stdout.splitlines()[-1] == "3 files: 2 ok, 1 failed"
+    assert run("decompress", *files, "--to", tmp_path / "out", "--level", 99).exit_code == 2
+    assert not (tmp_path / "out").exists()
 
 
 def test_json_is_a_line_for_each_file(tmp_path, dems):
@@ -423,37 +422,6 @@ def test_a_batch_that_is_killed_twice_goes_on_where_it_was(tmp_path):
     # Nothing unfinished is left beside them.
     assert len([path for path in out.iterdir() if "part" in path.name]) == 0
     assert len(list(out.glob("*.twz"))) == 197
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["compress", "x/a.tif", "y/A.tif", "--to", "out"], "would both be"),
-        (["compress", "-", "--to", "out"], "found - and --to"),
-        (["compress", "--to", "out"], "Missing argument 'SOURCE'"),
-        (["compress", "a.tif", "--to", "out", "--scheduler", "x"], "found --scheduler and --to"),
-        (["compress", "a.tif", "--to", "-"], "expected a directory"),
-        (["compress", "a.tif", "b.twz", "--skip-existing"], "found --skip-existing without --to"),
-        (
-            ["decompress", "a.twz", "--to", "out", "--skip-existing", "--overwrite"],
-            "found --skip-existing and --overwrite",
-        ),
-        (["decompress", "a.twz", "b.twz", "c.twz"], "add --to DIR"),
-        (["decompress", "a.twz"], "Missing argument 'TARGET'"),
-        (["verify", "a.twz", "b.twz", "c.tif"], "--originals DIR"),
-        (["verify"], "Missing argument 'FILE'"),
-    ],
-)
-def test_wrong_usage_writes_nothing(tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    assert message in one_line(run(*arguments), 2)
-    assert os.listdir(tmp_path) == []
-
-
-def test_options_that_fit_no_file_are_wrong_usage(tmp_path, files):
-    done = run("decompress", *files, "--to", tmp_path / "out", "--level", 99)
-    assert done.exit_code == 2
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.full

@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
-from commands import run
+from commands import one_line, run
 from PIL import Image
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
@@ -15,14 +15,6 @@ from tri.meshes import grid_mesh
 
 import terrainwave
 from terrainwave.terrain import Terrain
-
-
-def one_line(result, status):
-    """Return the one line of stderr of a failed command."""
-    assert result.exit_code == status, result.output
-    assert result.stdout == ""
-    (line,) = [one for one in result.stderr.splitlines() if not one.startswith("compiling")]
-    return line
 
 
 def make(tmp_path, **profile):
@@ -132,26 +124,6 @@ def test_json_of_levels_of_detail_has_each(tmp_path, twz):
     assert lods[0]["error"] <= lods[1]["error"]
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("--lods 2 --max-triangles 9", "found --max-triangles with --lods, expected none"),
-        ("--lods 2 --level -2", "found --level with --lods, expected none"),
-        ("--lods 2 --loose", "found --loose with --lods, expected none"),
-        ("--lods 2 --max-error 0", "found --max-error 0 for several levels of detail"),
-        ("--lods 0", "0 is not in the range 1<=x<=16"),
-        ("--store --lods 2", "found --lods with --store"),
-        ("--up z", "found --up z for .glb, expected y or none"),
-        ("--skirts 0", "found 0, expected a finite number > 0"),
-        ("--skirts 3 --solid -9", "found --solid and --skirts, expected one of them"),
-    ],
-)
-def test_levels_of_detail_that_cannot_be_are_one_line(tmp_path, twz, words, line):
-    before = set(tmp_path.iterdir())
-    assert line in one_line(run("mesh", twz, tmp_path / "a.glb", *words.split()), 2)
-    assert set(tmp_path.iterdir()) == before
-
-
 def test_json_of_mesh_is_complete(tmp_path, twz, asked):
     target = tmp_path / "a.glb"
     result = run("mesh", twz, target, "--json")
@@ -161,31 +133,6 @@ def test_json_of_mesh_is_complete(tmp_path, twz, asked):
     assert found["units"] == "m"
     assert found["error"] == 0.5 + found["rounding"]
     assert found["origin"] == pytest.approx([4e5 + 300, 4e6 - 495, 0])
-
-
-# Wrong usage
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--z-scale -1", "found -1, expected a finite number > 0"),
-        ("--z-scale 0", "found 0, expected a finite number > 0"),
-        ("--radius moon", "found moon, expected a finite number > 0"),
-        ("--solid deep", "found deep, expected a finite number"),
-        ("--max-error -1", "found -1, expected a finite number >= 0"),
-        ("--max-triangles 0", "0 is not in the range"),
-        ("--frame world", "'local', 'native', 'ecef'"),
-        ("--window 1,2,3", "four whole numbers"),
-        ("--window 0,0,5,5 --bounds 1,2,3,4", "both --window and --bounds"),
-    ],
-)
-def test_wrong_options_are_one_line(tmp_path, twz, asked, options, words):
-    assert words in one_line(run("mesh", twz, tmp_path / "a.ply", *options.split()), 2)
-    assert not (tmp_path / "a.ply").exists()
-
-
-# Failures
 
 
 def test_an_existing_target_is_refused_before_the_work(tmp_path, twz, asked):
@@ -213,12 +160,6 @@ def test_the_file_itself_is_no_target(tmp_path, twz, asked):
     assert "is the file to be read" in one_line(run("mesh", source, source, "--overwrite"), 1)
 
 
-# The bound holds for the file, not only for the mesh
-
-
-# Meshes of real files
-
-
 def test_store_adds_meshes_to_a_copy(tmp_path):
     terrainwave.compress(terrain_like(70, 80), tmp_path / "dem.twz", block=32, mesh="none")
     result = run("mesh", "--store", tmp_path / "dem.twz", tmp_path / "out.twz", "--mesh-error", "2")
@@ -230,35 +171,6 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         assert terrain.info().mesh_tolerance == 2
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ("--store --frame local --solid 3", "found --frame, --solid with --store"),
-        ("--mesh halves", "found --mesh without --store"),
-        ("--mesh-error 2", "found --mesh-error without --store"),
-        ("--store --mesh none", "'none' is not one of 'halves', 'zerotree', 'rqt'"),
-        ("--store --mesh rqt3", "rqt3"),
-        ("--store --mesh zerotree -o labels=coded", "that codes no zero trees"),
-        (
-            "--store -o labels=coded",
-            "found -o labels=coded and no --mesh, expected --mesh zerotree",
-        ),
-        (
-            "--store --mesh rqt -o rate=1",
-            "found -o rate=1, expected -o select (see terrainwave mesh",
-        ),
-        ("--store --drape a.png", "found --drape with --store, expected none of them"),
-        ("-o labels=coded", "found -o without --store"),
-    ],
-)
-def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):
-    assert words in one_line(run("mesh", twz, tmp_path / "out.twz", *options.split()), 2)
-    assert not (tmp_path / "out.twz").exists()
-
-
-# Height tiles
-
-
 @pytest.mark.parametrize("name", ["tile.r16", "tile.png"])
 def test_decompress_writes_a_height_tile(tmp_path, twz, name):
     result = run("decompress", twz, tmp_path / name, "--size", "17")
@@ -268,24 +180,6 @@ def test_decompress_writes_a_height_tile(tmp_path, twz, name):
     assert (about["rows"], about["columns"]) == (17, 17)
     assert "note: the window of 33 x 20 samples is stretched to 17 x 17" in result.stderr
     assert "--size window keeps the raster's own" in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("target", "options", "words"),
-    [
-        ("t.r16", "--size 1024", "found 1024, expected 2^n + 1"),
-        ("t.r16", "--size big", "found big, expected 2^n + 1"),
-        ("t.png", "--cog", "cannot be a COG"),
-        ("t.tif", "--size 65", "--size is for height tiles"),
-        ("t.tif", "--voids fill", "--voids fill is for height tiles"),
-        ("t.tif", "--voids -9999", "--voids -9999 is for height tiles"),
-        ("t.tif", "--voids up", "found --voids up, expected exact or any, or a name ending in"),
-        ("t.r16", "--voids up", "found --voids 'up', expected lowest, fill or a height"),
-    ],
-)
-def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):
-    assert words in one_line(run("decompress", twz, tmp_path / target, *options.split()), 2)
-    assert not (tmp_path / target).exists()
 
 
 def with_error(monkeypatch, smallest):

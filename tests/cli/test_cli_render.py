@@ -1,15 +1,12 @@
 """terrainwave render, and what view and render say of wrong options."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from commands import python, run
 from render.scenes import hills
 
-from terrainwave.cli import main
 from terrainwave.write.compress import compress
 
 pytestmark = [pytest.mark.gl, pytest.mark.large]
@@ -20,10 +17,6 @@ def file(tmp_path_factory):
     path = tmp_path_factory.mktemp("render") / "hills.twz"
     compress(np.round(hills(150, 210, 1)).astype(np.int16), path, block=32)
     return str(path)
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(part) for part in arguments])
 
 
 def pixels(path):
@@ -124,11 +117,10 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
 @pytest.mark.parametrize("library", ["moderngl", "numba", "PIL"])
 def test_help_needs_no_heavy_library(library):
     code = (
-        "import sys\nfrom click.testing import CliRunner\nfrom terrainwave.cli import main\n"
-        "CliRunner().invoke(main, ['render', '--help'])\n"
-        f"sys.exit({library!r} in sys.modules)"
+        "import sys; from click.testing import CliRunner; from terrainwave.cli import main;"
+        f"CliRunner().invoke(main, ['render', '--help']); sys.exit({library!r} in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert python(code).returncode == 0
 
 
 # What these modes compile takes long.

@@ -11,11 +11,12 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from fnmatch import fnmatch
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from affine import Affine
-from commands import one_line, run
+from commands import environment, one_line, python, run
 from numba.core.errors import LoweringError, NumbaError, TypingError
 from rasterio._err import CPLE_AppDefinedError
 from rasterio.errors import RasterioError, RasterioIOError
@@ -44,7 +45,7 @@ def twz(tmp_path, dem):
     return tmp_path / "dem.twz"
 
 
-def in_shell(redirections, *args, **environment):
+def in_shell(redirections, *args, **variables):
     """Run a command in a process of its own, by a shell that redirects its streams."""
     command = shlex.join([sys.executable, "-c", PROGRAM, *map(str, args)])
     return subprocess.run(
@@ -55,14 +56,11 @@ def in_shell(redirections, *args, **environment):
         encoding="utf-8",
         errors="replace",
         timeout=300,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)} | environment,
+        env=environment(**variables),
     )
 
 
 needs_shell = pytest.mark.skipif(sys.platform == "win32", reason="no sh")
-
-
-# --- streams that are closed
 
 
 COMMANDS = [
@@ -134,8 +132,7 @@ main(["compress", {str(dem)!r}, {str(tmp_path / "new.twz")!r}, "--quiet"])
 """
     (tmp_path / "program.py").write_text(program)
     command = f"{sys.executable} {tmp_path / 'program.py'} 0<&- 1>&- 2>&-"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    assert subprocess.run(["sh", "-c", command], env=environment, timeout=300).returncode == 0
+    assert subprocess.run(["sh", "-c", command], env=environment(), timeout=300).returncode == 0
     data = (tmp_path / "new.twz").read_bytes()
     assert b"library" not in data
     assert run("verify", tmp_path / "new.twz", dem).exit_code == 0
@@ -153,9 +150,6 @@ def test_a_file_cannot_go_to_a_closed_stdout_or_come_from_a_closed_stdin(tmp_pat
         assert (done.returncode, done.stdout) == (1, "")
         (line,) = done.stderr.splitlines()
         assert line.startswith(f"terrainwave: {words}; expected")
-
-
-# --- an encoding that lacks letters
 
 
 @needs_shell
@@ -187,14 +181,11 @@ def test_names_and_units_of_any_letters_are_printed_in_any_encoding(tmp_path):
             assert json.loads(done.stdout)["units"] == "mètres ↑"
 
 
-# --- errors that are not stdout's
-
-
 def test_an_error_of_a_file_does_not_name_stdout(tmp_path, dem, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device", "/somewhere/else")
-
-    monkeypatch.setattr("terrainwave.write.compress.assemble", full)
+    monkeypatch.setattr(
+        "terrainwave.write.compress.assemble",
+        Mock(side_effect=OSError(errno.ENOSPC, "No space left on device", "/somewhere/else")),
+    )
     line = one_line(run("compress", dem, tmp_path / "a.twz", *QUICK), 1)
     assert "stdout" not in line
     assert "/somewhere/else: No space left on device" in line
@@ -216,23 +207,18 @@ def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
 
 
 PRINTING = """
-import os
 from terrainwave.cli import main
 from terrainwave.cli.output import Command
 @main.command(cls=Command)
 def words():
-    print("words" * int(os.environ.get("N_WORDS", "1")), end="", flush=True)
+    print("words", end="", flush=True)
 main(["words"])
 """
 
 
-def printed_to(stdout, **environment):
+def printed_to(stdout):
     """Return stderr of a command whose work prints, with a stdout that takes nothing."""
-    environment |= {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    done = subprocess.run(
-        [sys.executable, "-c", PRINTING], stdout=stdout, stderr=subprocess.PIPE, text=True,
-        env=os.environ | environment, timeout=300,
-    )  # fmt: skip
+    done = python(PRINTING, stdout=stdout, stderr=subprocess.PIPE, capture_output=False)
     assert done.returncode == 1
     return done.stderr
 
@@ -294,11 +280,7 @@ def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
     terrainwave.compress(tmp_path / "big.tif", tmp_path / "big.twz", max_error=1)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     words = command.replace("TEMPORARY", str(tmp_path)).split()
-    done = subprocess.run(
-        [sys.executable, "-c", LITTLE_ROOM, "20000", *words, "-q"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )  # fmt: skip
+    done = python(LITTLE_ROOM, 20000, *words, "-q", cwd=tmp_path)
     assert done.returncode == 1
     # Kernels that are compiled here find no room either.
     kept = "note: compiled kernels are not kept"
@@ -306,12 +288,6 @@ def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
     assert fnmatch(line, f"terrainwave: cannot write {name}: File too large")
     assert not re.search(r"cannot write \d+:", line)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-# --- sizes
-
-
-# --- names as long as the system takes
 
 
 @pytest.mark.few(3)
@@ -360,9 +336,6 @@ def test_what_a_killed_run_left_beside_a_long_name_is_removed(tmp_path):
         assert not lock.exists()
 
 
-# --- an installation that cannot be written
-
-
 @needs_shell
 def test_what_is_published_has_the_modes_of_the_umask(tmp_path, twz, monkeypatch):
     from terrainwave.ext import publish
@@ -389,11 +362,6 @@ def test_what_is_published_has_the_modes_of_the_umask(tmp_path, twz, monkeypatch
         assert stat.S_IMODE(path.stat().st_mode) == expected, path
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
 
-
-# --- a display that nobody serves
-
-
-# --- whatever comes from below is one line
 
 ERRORS = {
     "full": lambda: OSError(errno.ENOSPC, "No space left on device"),
@@ -489,10 +457,9 @@ def test_whatever_a_layer_raises_is_one_line_and_status_1(
 
 
 def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
-    def raising(*_, **__):
-        raise KeyError("x")
-
-    monkeypatch.setattr("terrainwave.container.reader.Container.__init__", raising)
+    monkeypatch.setattr(
+        "terrainwave.container.reader.Container.__init__", Mock(side_effect=KeyError("x"))
+    )
     assert "TERRAINWAVE_TRACEBACK=1" in one_line(run("info", twz), 1)
     monkeypatch.setenv("TERRAINWAVE_TRACEBACK", "1")
     done = run("info", twz)

@@ -40,9 +40,6 @@ def contents(directory):
     return {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
-# --- names
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -69,9 +66,6 @@ def test_an_empty_name_is_one_clear_line(tmp_path, dems, twz, monkeypatch, argum
     line = one_line(run(*arguments), 2)
     assert "found '', an empty name, expected that of a " in line
     assert contents(tmp_path) == before
-
-
-# --- compress
 
 
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
@@ -113,9 +107,6 @@ def test_a_raster_with_the_name_of_a_twz_is_never_the_target(tmp_path, dems, by_
     assert contents(tmp_path) == before
 
 
-# --- every other command that writes
-
-
 @pytest.mark.parametrize(
     ("command", "target"),
     [
@@ -134,9 +125,6 @@ def test_a_command_refuses_what_it_does_not_write(tmp_path, monkeypatch, twz, co
     assert f"{target}: found" in line
     assert "expected a" in line
     assert contents(tmp_path) == before
-
-
-# --- stdin and stdout
 
 
 def pipe(data, *args):

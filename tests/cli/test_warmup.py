@@ -6,13 +6,12 @@ That kernels of one process are found by another is told by test_containers.py.
 
 import json
 import shutil
-import subprocess
-import sys
 import tempfile
 
 import numpy as np
 import pytest
 from affine import Affine
+from commands import python
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.names import METHODS
@@ -62,10 +61,7 @@ def needed(folder, *commands):
         with tempfile.TemporaryDirectory() as place:
             for raster in folder.iterdir():
                 shutil.copy(raster, place)
-            done = subprocess.run(
-                [sys.executable, "-c", PROGRAM, json.dumps(commands)],
-                cwd=place, capture_output=True, text=True,
-            )  # fmt: skip
+            done = python(PROGRAM, json.dumps(commands), cwd=place, timeout=None)
         assert done.returncode == 0, (done.stdout, done.stderr)
         n_compiled, found = json.loads(done.stderr.splitlines()[-1])
     return set(found)

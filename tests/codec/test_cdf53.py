@@ -39,17 +39,11 @@ def root_tile(heights):
     return spec, encode_tile(spec, heights.astype(np.int32), levels, None)
 
 
-# Tiles
-
-
 def test_tiles_of_256_blocks_have_1025_samples_on_a_side():
     layout = TileLayout(Grid(4096, 4096, 256))
     finest = layout.spec(Block(2, 1, 1))
     assert finest.region.shape == (1025, 1025)
     assert (finest.first, finest.last, finest.n_below) == (3, 4, 0)
-
-
-# Lossless
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (5, 3), (33, 34), (66, 65)])
@@ -81,9 +75,6 @@ def test_coarse_levels_are_the_inverse_stopped_early():
     left, right = np.r_[d[0], d], np.r_[d, d[-1]]
     expected = np.clip(x[::2] + (left + right + 2 >> 2), x.min(), x.max())
     np.testing.assert_array_equal(read(file_of(row), level=-2)[0], expected)
-
-
-# Goals
 
 
 @pytest.mark.parametrize("max_error", [1, 4, 20])
@@ -156,9 +147,6 @@ def test_goals_that_cannot_be_kept_are_refused(options, message):
         twz_bytes(HEIGHTS[:9, :9], **{"method": "cdf53", **options})
 
 
-# Reading in part
-
-
 @pytest.mark.large
 def test_more_bytes_give_a_better_surface_and_all_of_them_the_raster(small_tiles):
     heights = terrain_like(300, 280, seed=9) * 8
@@ -191,9 +179,6 @@ def test_a_position_counts_planes_from_the_finest():
     assert [plane_cut(ends, 70, position) for position in (0, 1, 1.25, 2, 3, 9)] == [
         70, 30, 25, 10, 0, 0,
     ]  # fmt: skip
-
-
-# Damage
 
 
 @pytest.mark.large

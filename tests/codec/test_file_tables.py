@@ -137,9 +137,6 @@ def test_any_bytes_give_tables_within_their_limits_or_our_own_error(data):
         assert 3 <= len(found.e_weights[plane]) <= 4
 
 
-# Coding with them ------------------------------------------------------------------------------
-
-
 def fitted_to(heights, step):
     grid = Grid(*heights.shape, 256)
 
@@ -206,9 +203,6 @@ def test_extreme_file_tables_cannot_overflow():
     back, _ = refiner.decode(spec, parent, mask, payload)
     np.testing.assert_array_equal(back, decoded)
     assert np.abs(back.astype(np.int64) - target).max() <= 1
-
-
-# Fitting ---------------------------------------------------------------------------------------
 
 
 def test_least_squares_find_the_weights_that_made_the_data():

@@ -5,12 +5,12 @@ code as plain Python with accounts (`tests/decisions.py`), which says what is id
 """
 
 import json
-import os
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from commands import environment
 from lone_units import lone_spec
 
 from terrainwave.codec.registry import refiner_by_name
@@ -40,8 +40,7 @@ def accountant():
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ
-        | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        env=environment(NUMBA_DISABLE_JIT="1"),
     ) as process:
         yield process
 
@@ -68,7 +67,6 @@ def account(accountant, tmp_path, method, step, has_parent):
     return len(payload), accounts
 
 
-@pytest.mark.large
 @pytest.mark.full
 @pytest.mark.parametrize(("step", "has_parent"), [(1, True), (7, False)])
 @pytest.mark.parametrize("method", ["predictive", "cdf97"])

@@ -158,9 +158,6 @@ def test_only_heights_whose_sums_fit_get_32_bits():
     assert not fits_narrow(300, weights, steep)
 
 
-# Zero trees ------------------------------------------------------------------------------------
-
-
 def test_a_flat_group_is_one_zero_tree():
     plane = np.full((33, 33), 700, dtype=np.int32)
     _, _, trees = PredictiveRefiner().encode(

@@ -135,9 +135,6 @@ def test_nothing_is_read_of_memory_that_was_given_back(has_parent, monkeypatch):
     assert found[0] == found[1]
 
 
-# Ranges -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("step", [LIMIT - 2, LIMIT, LIMIT + 2, (1 << 31) - 1])
 def test_steps_up_to_the_largest(step):
     heights = np.random.default_rng(0).integers(-(1 << 28), 1 << 28, (33, 33)).astype(np.int32)
@@ -184,9 +181,6 @@ def test_predictions_stay_between_the_nearest_known_samples(plane):
     assert planes[plane][i, j] == wanted
 
 
-# Lines ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scale", [1, 100_000])
 def test_neighbours_have_the_same_heights_on_the_line_that_they_share(scale):
     """Whatever lies beside the line, in voids too; and however far heights are apart there."""
@@ -209,9 +203,6 @@ def test_predictions_on_lines_are_cubic_and_between_the_nearest_four():
     assert predict_on_line(heights, (0, 1, 6, 1), 1)[0] == round((9 * (8 + 27) - 0 - 64) / 16)
     assert predict_on_line(heights, (0, 1, 6, 3), 1)[0] <= 1 << 29
     assert predict_on_line(heights, (2, 1, 1, 0), 1) == (27, False)
-
-
-# Bands and rows ---------------------------------------------------------------------------------
 
 
 @pytest.mark.large
@@ -244,9 +235,6 @@ def test_strips_of_bands_are_all_strips(n_rows, n_bands):
     assert len(strips) * 8 >= max((n_rows + 1) // 2, n_rows // 2 + 1) > (len(strips) - 1) * 8
 
 
-# Corrections ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("has_parent", [True, False])
 @pytest.mark.parametrize("scale", [1, 10_000])
 def test_heights_that_are_kept_come_back(has_parent, scale):
@@ -263,9 +251,6 @@ def test_heights_that_are_kept_come_back(has_parent, scale):
     read = Corrections(np.zeros((0, 0), dtype=np.int32), given.added)
     decoded, _ = coder().decode(spec, parent, None, payload, read)
     np.testing.assert_array_equal(decoded, coded)
-
-
-# Damage -----------------------------------------------------------------------------------------
 
 
 def small_unit(has_parent=True):

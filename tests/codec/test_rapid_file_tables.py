@@ -112,9 +112,6 @@ def test_codes_stand_for_the_numbers_that_the_format_says():
     np.testing.assert_array_equal(np.abs(NUMBER_OF_CODE[codes_of(numbers)] - numbers), nearest)
 
 
-# Damage -----------------------------------------------------------------------------------------
-
-
 def refused(tables, words):
     with pytest.raises(CorruptStreamError, match=words):
         tables_of(pack_file_tables(tables), 1)
@@ -219,9 +216,6 @@ def test_damaged_bytes_give_tables_within_their_limits_or_our_own_error():
         assert 0 <= made.frequencies.cut <= N_CLASSES
         assert (made.frequencies.freqs.sum(1) == N_SLOTS).all()
     assert n_sound  # not all of them are refused
-
-
-# Fits -------------------------------------------------------------------------------------------
 
 
 def fitted(heights, step, valid=None, each=map):

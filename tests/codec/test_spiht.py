@@ -54,9 +54,6 @@ def trace_of(field, n_transforms):
     return coded, trace[: coded.n_decisions].tolist()
 
 
-# By hand
-
-
 def test_a_field_of_one_transform_is_sorted_pixel_by_pixel():
     # 2 x 2: HL, LH and HH have one coefficient each, no sets. Planes 1 and 0 of 3, 0, -1:
     # HL 1 + (significant, positive); LH 0; HH 0; no refinement. Then LH 0; HH 1 - (1, 1);
@@ -92,9 +89,6 @@ def test_grandchildren_are_a_set_of_their_own():
     assert trace_of(field, 3)[1] == [1, 0, 0, 1, 0, 0, 1, 0, 1, 0, 0, 0, 0]
 
 
-# Against the slow version
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_decisions_are_those_of_the_slow_version(shape):
     *shape, n_transforms = shape
@@ -127,9 +121,6 @@ def test_a_cut_stream_decodes_as_the_slow_version_does(share):
     found = decode_field(stream, coded.n_planes, field.shape, 3, is_cut=True)
     expected = slow_decode(stream, coded.n_planes, field.shape, 3, True)
     np.testing.assert_array_equal(found, expected)
-
-
-# Promises
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -179,9 +170,6 @@ def test_every_coefficient_has_one_parent_or_is_a_root():
     found = {slow.at[divmod(int(at) - geometry.width - 1, geometry.width)] for at in geometry.roots}
     assert found == expected
     assert geometry.n_sets == sum(bool(slow.children(p)) for p in slow.places)
-
-
-# Damage
 
 
 def test_a_whole_stream_cut_short_is_truncated():

@@ -80,9 +80,6 @@ def test_bytes_are_the_same_and_so_is_what_any_bytes_say(seed, with_library, mon
         monkeypatch.setenv(native_library.SWITCH, "1")
 
 
-# Fits -------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def rng():
     return np.random.default_rng(54)

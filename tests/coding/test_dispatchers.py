@@ -1,16 +1,14 @@
 """Is numba's private side used with the releases that were tried, and with no others?"""
 
 import json
-import os
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 import yaml
 from cases import some
+from commands import environment, python, python_with
 
 from terrainwave.coding.compiled import TRIED
 
@@ -51,13 +49,9 @@ def chosen(tmp_path_factory):
     start = f"import terrainwave.coding\nterrainwave.coding.__path__.append({str(folder)!r})\n"
 
     def choose(change="", **settings):
-        environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "NUMBA_DISABLE_JIT": "0"}
-        environment |= {"NUMBA_CACHE_DIR": str(folder / "cache"), "TERRAINWAVE_NUMBA_CACHE": "1"}
-        environment |= {"TERRAINWAVE_COMPILER": "", **settings}
-        done = subprocess.run(
-            [sys.executable, "-c", start + CHOOSE, change],
-            env=environment, capture_output=True, text=True,
-        )  # fmt: skip
+        cache = {"NUMBA_CACHE_DIR": str(folder / "cache"), "TERRAINWAVE_NUMBA_CACHE": "1"}
+        usual = {"NUMBA_DISABLE_JIT": "0", "TERRAINWAVE_COMPILER": "", **cache}
+        done = python(start + CHOOSE, change, env=environment(**usual | settings))
         assert done.returncode == 0, done.stderr
         found, told = json.loads(done.stdout)
         return tuple(found), told
@@ -118,11 +112,8 @@ def test_a_variable_chooses_either_without_a_note(chosen):
 )
 def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(change, named):
     program = f"{change}\nfrom terrainwave.coding import compiled\nprint(compiled.COMPILER)"
-    done = subprocess.run(
-        [sys.executable, "-c", f"import numba.core.typed_passes, numba.core.registry\n{program}"],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "TERRAINWAVE_COMPILER": ""},
-        capture_output=True, text=True,
-    )  # fmt: skip
+    program = f"import numba.core.typed_passes, numba.core.registry\n{program}"
+    done = python(program, env=environment(TERRAINWAVE_COMPILER=""))
     assert done.returncode == 0, done.stderr
     assert done.stdout == "plain\n"
     assert done.stderr.count("TerrainwaveWarning: numba is ") == 1
@@ -131,11 +122,8 @@ def test_a_private_name_that_has_moved_is_noticed_before_any_kernel_is_compiled(
 
 @pytest.mark.full
 def test_another_word_in_the_variable_is_refused_in_one_line(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "terrainwave", "warmup", "--for", "compress"],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "TERRAINWAVE_COMPILER": "quick"},
-        capture_output=True, text=True,
-    )  # fmt: skip
+    words = ["-m", "terrainwave", "warmup", "--for", "compress"]
+    done = python_with(words, env=environment(TERRAINWAVE_COMPILER="quick"))
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "TERRAINWAVE_COMPILER: found quick, expected fast, plain or nothing" in line

@@ -113,9 +113,6 @@ def test_synthesis_survives_extremes():
     assert child[3, 0] == -MAX_HEIGHT
 
 
-# Growth -----------------------------------------------------------------------------------
-
-
 def unlifted(low, high):
     """Return every stage of one inverse transform, in float64."""
     stages = []

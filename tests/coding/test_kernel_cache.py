@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -243,11 +244,12 @@ def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     def halved(number):
         return number / 2
 
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     _, entries = halved._cache._found
-    monkeypatch.setattr(entries[-1], "save_overload", full)
+    monkeypatch.setattr(
+        entries[-1],
+        "save_overload",
+        Mock(side_effect=OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))),
+    )
     monkeypatch.setattr(kernel_places._State, "reason", "")
     monkeypatch.setattr(kernel_places._State, "n_lost", 0)
     with pytest.warns(TerrainwaveWarning, match="No space left on device"):

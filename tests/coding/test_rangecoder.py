@@ -218,9 +218,6 @@ def test_a_full_output_is_counted_but_not_overrun():
     assert out.tolist() == whole[:5].tolist()
 
 
-# Mixed bits -------------------------------------------------------------------------------------
-
-
 @kernel
 def code_mixed_bits(bits, contexts, renewed_every, coder, mixers, coded):
     state, stream, models, is_encoder = coder

@@ -6,7 +6,7 @@ import zipfile
 
 import pytest
 from container.test_http import serving
-from container.test_url import memory, running_server  # noqa: F401  a fixture
+from container.test_url import running_server
 from container.toys import toy_file, toy_header, toy_payload
 from containers import open_container
 
@@ -63,13 +63,13 @@ def test_a_zip_may_be_a_local_file(packed, form):
     assert agrees("zip://dir/höhe 1.twz::" + form.format(path=path), key)
 
 
-def test_a_zip_may_be_behind_fsspec(packed, memory):  # noqa: F811
+def test_a_zip_may_be_behind_fsspec(packed, memory):
     path, _ = packed
     memory.pipe("/all.zip", path.read_bytes())
     assert agrees("zip://dir/höhe 1.twz::memory://all.zip", HEADER.grid.blocks(5)[0])
 
 
-def test_a_chain_of_fsspec_is_read(packed, memory, tmp_path):  # noqa: F811
+def test_a_chain_of_fsspec_is_read(packed, memory, tmp_path):
     path, data = packed
     memory.pipe("/all.zip", path.read_bytes())
     memory.pipe("/a.twz", data)

@@ -1,7 +1,7 @@
 """Whole files: what is written comes back, the same bytes for any order, random access."""
 
 import io
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -121,14 +121,6 @@ class Recording(BufferSource):
         return super().read(offset, length)
 
 
-def test_opening_reads_the_first_16_kib_only():
-    data = toy_file(toy_header(5000, 5000))
-    assert len(data) > 100_000
-    source = Recording(data)
-    Container(source)
-    assert source.reads == [ByteRange(0, 16384)]
-
-
 def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself():
     noise = "".join(chr(code) for code in np.random.default_rng(1).integers(32, 126, 20_000))
     header = toy_header(17_000, 40, metadata={"own": noise})  # all payloads beyond 16 KiB
@@ -191,11 +183,8 @@ def test_eight_threads_read_what_one_reads():
             if container.payload(keys[i]) != toy_payload(keys[i]):
                 wrong.append(keys[i])
 
-    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
     assert not wrong
 
 
@@ -240,9 +229,6 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
         assert container.payload(loud) == b"loud"
         assert container.payload(Block(9, 0, 0)) == b""
         assert container.segment(Block(6, 0, 0)).page.is_empty
-
-
-# What the writer refuses
 
 
 def test_a_missing_segment_is_refused(tmp_path):

@@ -99,11 +99,6 @@ def test_limits_of_the_code_are_those_of_format_10(name, text):
     assert getattr(header_module, name) == 1 << int(re.search(r"2\^(\d+)", text)[1])
 
 
-def test_the_deepest_tree_has_26_refinements():
-    assert Grid(1, 2**31, 32).k_max == 26
-    assert "| levels | k_max ≤ 26 |" in section("10")
-
-
 def test_every_section_that_the_code_cites_exists():
     headings = set(re.findall(r"^#+ (\d+(?:\.\d+)?)", DOCUMENT, re.M))
     for path in (ROOT / "src" / "terrainwave").rglob("*.py"):

@@ -12,11 +12,11 @@ import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from servers import running
 
 from terrainwave.container.sources import url as module
 from terrainwave.container.sources.addresses import display_name, without_secrets
@@ -149,17 +149,8 @@ class Server(ThreadingHTTPServer):
         pass
 
 
-@contextmanager
 def serving(**options):
-    server = Server(**options)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+    return running(Server(**options))
 
 
 @pytest.fixture
@@ -188,9 +179,6 @@ def problem(address):
         reads(address)
     assert "\n" not in str(caught.value)
     return str(caught.value)
-
-
-# Addresses
 
 
 @pytest.mark.parametrize(
@@ -239,9 +227,6 @@ def test_an_ipv6_address_has_the_port_of_its_scheme(monkeypatch, url, place):
 )
 def test_what_is_no_address_is_one_clear_line(url):
     problem(url)
-
-
-# Logins
 
 
 def test_a_login_goes_on_to_the_same_server_and_to_no_other(server):
@@ -312,9 +297,6 @@ def test_no_error_of_a_url_with_secrets_tells_them(server, monkeypatch):
         assert "sec" not in problem(f"http://me:sec{bare}ret@127.0.0.1/a")
     monkeypatch.setenv("http_proxy", "http://me:secret@127.0.0.1:1")
     assert "secret" not in problem(secret)
-
-
-# Proxies
 
 
 @pytest.mark.parametrize("login", ["me:secret", "m é:p@ss:wörd/山", "only", "empty:"])
@@ -414,9 +396,6 @@ def test_no_proxy_is_obeyed(monkeypatch, proxy, no_proxy, host):
     assert proxy.asked == []
 
 
-# Certificates
-
-
 @pytest.mark.parametrize("name", ["REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE", "SSL_CERT_FILE"])
 def test_certificates_that_the_environment_names_are_trusted(monkeypatch, name):
     with serving(tls=True) as server:
@@ -436,9 +415,6 @@ def test_a_certificate_of_another_host_is_refused_at_once(monkeypatch, proxy):
         assert "other.example" in found
         assert "certificate" in found
         assert server.asked == []
-
-
-# Servers
 
 
 @pytest.mark.parametrize("n_times", [1, 3])

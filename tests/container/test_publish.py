@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import textwrap
+from unittest.mock import Mock
 
 import pytest
+from commands import environment, python
 from container.toys import toy_header, toy_spools
 from containers import open_container
 
@@ -73,10 +75,9 @@ def test_an_exception_leaves_the_target_and_removes_the_part(target, error):
 
 
 def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
-    def interrupted(file):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("terrainwave.container.targets.unfinished._try_lock", interrupted)
+    monkeypatch.setattr(
+        "terrainwave.container.targets.unfinished._try_lock", Mock(side_effect=KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):
         pytest.fail("the block must not run")
     assert list(tmp_path.iterdir()) == []
@@ -186,10 +187,9 @@ def test_a_full_disk_is_one_clear_line_and_no_file(target, tmp_path, room):
 def test_a_disk_that_is_full_at_the_end_leaves_the_target(target, monkeypatch, call):
     before = state(target)
 
-    def fail(*_):
-        raise OSError(errno.ENOSPC, "no space")
-
-    monkeypatch.setattr(publish_module.os, call, fail)
+    monkeypatch.setattr(
+        publish_module.os, call, Mock(side_effect=OSError(errno.ENOSPC, "no space"))
+    )
     with pytest.raises(StorageError, match="the disk is full"):
         with publish(target, overwrite=True) as part:
             part.file.write(b"new")
@@ -221,19 +221,17 @@ def test_a_part_whose_lock_is_held_or_cannot_be_tried_stays(target, monkeypatch,
     part = target.parent / f".{target.name}.0123456789abcdef.twz-part"
     part.touch()
 
-    def fail(*_):
-        raise OSError(error, os.strerror(error))
-
-    monkeypatch.setattr(unfinished.fcntl, "flock", fail)
+    monkeypatch.setattr(
+        unfinished.fcntl, "flock", Mock(side_effect=OSError(error, os.strerror(error)))
+    )
     assert remove_stale_parts(target) == []
     assert others(target) == [part.name]
 
 
 def test_a_file_system_without_locks_can_be_written(target, monkeypatch):
-    def fail(*_):
-        raise OSError(errno.ENOLCK, "no locks")
-
-    monkeypatch.setattr(unfinished.fcntl, "flock", fail)
+    monkeypatch.setattr(
+        unfinished.fcntl, "flock", Mock(side_effect=OSError(errno.ENOLCK, "no locks"))
+    )
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert target.read_bytes() == b"new"
@@ -291,7 +289,7 @@ def start(script, argument):
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(argument)],
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        env=environment(),
     )
     assert process.stdout.readline().strip() == b"ready"
     return process
@@ -443,11 +441,7 @@ def test_what_a_kill_before_any_file_operation_leaves_is_removed_by_the_next_run
     tmp_path, used, arguments
 ):
     script = textwrap.dedent(KILLED_EVERYWHERE.format(used=used, arguments=arguments))
-    subprocess.run(
-        [sys.executable, "-c", script, str(tmp_path)],
-        check=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-    )
+    python(script, tmp_path, check=True, capture_output=False)
 
 
 def test_a_scratch_directory_in_a_missing_place_is_a_storage_error(tmp_path):

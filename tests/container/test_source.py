@@ -3,7 +3,7 @@
 import io
 import os
 import pickle
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -70,11 +70,8 @@ def test_threads_do_not_disturb_each_other(source):
             if source.read(offset, 50) != DATA[offset : offset + 50]:
                 wrong.append(offset)
 
-    threads = [threading.Thread(target=work, args=(start,)) for start in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
     assert not wrong
 
 

@@ -3,6 +3,7 @@
 import errno
 import pickle
 import threading
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -106,10 +107,10 @@ def test_a_temporary_file_that_was_damaged_is_noticed(tmp_path):
 
 
 def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
-    def fail(*_):
-        raise OSError(errno.ENOSPC, "no space")
-
-    monkeypatch.setattr("terrainwave.container.spool.tempfile.mkstemp", fail)
+    monkeypatch.setattr(
+        "terrainwave.container.spool.tempfile.mkstemp",
+        Mock(side_effect=OSError(errno.ENOSPC, "no space")),
+    )
     with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; free space"):
         filled(tmp_path)
 

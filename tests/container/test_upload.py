@@ -1,6 +1,7 @@
 """Targets by URL: complete or not at all."""
 
-import fsspec
+from unittest.mock import Mock
+
 import pytest
 from click.testing import CliRunner
 from fsspec.implementations.memory import MemoryFileSystem
@@ -11,13 +12,6 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidArgumentError, StorageError
 
 OPTIONS = {"method": "store", "mesh": "none", "block": 32, "max_error": 1}
-
-
-@pytest.fixture
-def memory():
-    files = fsspec.filesystem("memory")
-    yield files
-    files.store.clear()
 
 
 @pytest.fixture
@@ -77,10 +71,9 @@ def test_a_failed_upload_leaves_the_target_and_keeps_the_work(
 ):
     memory.pipe("/bucket/dem.twz", b"other")
 
-    def fail(*arguments, **options):
-        raise ConnectionError("the line is down")
-
-    monkeypatch.setattr(MemoryFileSystem, failing, fail)
+    monkeypatch.setattr(
+        MemoryFileSystem, failing, Mock(side_effect=ConnectionError("the line is down"))
+    )
     with pytest.raises(StorageError, match=r"the line is down; the finished file is (.*): upload"):
         terrainwave.compress(
             raster, "memory://bucket/dem.twz", temp_dir=tmp_path, overwrite=True, **OPTIONS

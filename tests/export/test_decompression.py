@@ -117,27 +117,6 @@ def test_tags_of_a_hostile_file_do_no_harm(tmp_path):
         assert not {"ns", "bidx", "nul", "a"} & set(dataset.tags(1))
 
 
-def test_an_internal_mask_comes_back(tmp_path):
-    heights = np.arange(12, dtype="uint8").reshape(3, 4)
-    mask = np.arange(12).reshape(3, 4) % 5 != 2
-    source = write_geotiff(tmp_path / "dem.tif", heights, mask=mask)
-    found, valid, profile = read_geotiff(round_trip(tmp_path, source, max_error=0))
-    np.testing.assert_array_equal(valid, mask)
-    np.testing.assert_array_equal(found[mask], heights[mask])
-    assert profile["nodata"] is None
-
-
-def test_nan_comes_back(tmp_path):
-    heights = np.array([[1.5, np.nan], [np.nan, 2.25]], dtype="float32")
-    source = write_geotiff(tmp_path / "dem.tif", heights)
-    np.testing.assert_array_equal(
-        read_geotiff(round_trip(tmp_path, source, max_error=0))[0], heights
-    )
-
-
-# Windows, bounds, levels; places by hand
-
-
 @pytest.mark.parametrize(
     ("options", "at", "transform"),
     [
@@ -195,17 +174,12 @@ def test_the_size_of_windows_does_not_matter(files, tmp_path, monkeypatch, n_sam
     np.testing.assert_array_equal(heights, HEIGHTS[13:253, 5:135])
 
 
-def test_an_existing_target_is_refused(files, tmp_path):
+def test_an_existing_target_is_refused_and_replaced_when_asked(files, tmp_path):
     (tmp_path / "back.tif").write_bytes(b"precious")
     with pytest.raises(StorageError, match="exists"):
         back_from(files, tmp_path)
     assert (tmp_path / "back.tif").read_bytes() == b"precious"
-
-
-def test_an_existing_target_is_replaced_when_asked(files, tmp_path):
-    (tmp_path / "back.tif").write_bytes(b"not precious")
-    heights, _, _ = back_from(files, tmp_path, overwrite=True)
-    np.testing.assert_array_equal(heights, HEIGHTS)
+    np.testing.assert_array_equal(back_from(files, tmp_path, overwrite=True)[0], HEIGHTS)
 
 
 def test_progress_ends_with_all_samples(files, tmp_path):
@@ -213,8 +187,6 @@ def test_progress_ends_with_all_samples(files, tmp_path):
     back_from(files, tmp_path, progress=seen.append)
     assert (seen[-1].done, seen[-1].total) == (261 * 140, 261 * 140)
 
-
-# COG
 
 LARGE = terrain_like(1100, 1060, dtype="float32", seed=2)
 
@@ -230,7 +202,6 @@ def cog(tmp_path_factory):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_a_cog_is_one(cog):
     with rasterio.open(cog[1]) as dataset:
         assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"

@@ -7,6 +7,8 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+from servers import running
+
 # Endings that hosts know: nginx's table (since 2004), for one, lacks `.mjs`.
 KNOWN = {
     ".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".json": "application/json",
@@ -57,11 +59,5 @@ def static_server(folder, *, has_ranges=True, headers=None, types=KNOWN):
     server.asked, server.has_ranges, server.lock = [], has_ranges, threading.Lock()
     server.headers, server.types = headers or {}, types
     server.address = f"http://127.0.0.1:{server.server_address[1]}"
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    try:
+    with running(server):
         yield server
-    finally:
-        server.shutdown()
-        thread.join(30)
-        server.server_close()

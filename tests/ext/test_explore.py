@@ -91,9 +91,6 @@ def explored(terrain, page):
     return widget
 
 
-# Questions and answers
-
-
 def test_ranges_come_as_buffers_in_the_order_asked(page):
     source = Source(bytes(range(256)))
     ranges = [[200, 256], [0, 1], [7, 9]]
@@ -168,9 +165,6 @@ def test_questions_without_end_are_refused_until_others_are_answered(page, gate)
     assert page.ask(channel.take, "wait", "again")[0] == {"id": "again"}
 
 
-# Sources
-
-
 def test_a_file_comes_byte_by_byte(terrain, twz, page):
     widget = explored(terrain, page)
     told, _ = page.ask(widget._channel.take, "terrain", "about")
@@ -198,12 +192,6 @@ def test_what_the_page_is_told_names_no_path(terrain, twz, page):
     assert told["terrain"]["error"] == 2
     assert told["terrain"]["bounds"] == pytest.approx(BOUNDS)
     assert "rows" in told["terrain"]["placed"]
-
-
-# The page
-
-
-# Windows
 
 
 def region_at(terrain, box):
@@ -300,8 +288,6 @@ def test_a_wrong_window_is_refused_and_the_old_one_stays(terrain, window):
     assert widget.window == (1, 2, 3, 4)
 
 
-# Cameras
-
 CAMERA = {"lon": 8.2, "lat": 46.1, "zoom": 11.5, "pitch": 40, "bearing": -20}
 
 
@@ -313,9 +299,6 @@ def test_a_camera_is_taken_from_python_and_from_the_page(terrain):
     assert {type(value) for value in widget.camera.values()} == {float}
     widget.set_state({"camera": CAMERA})  # as ipywidgets does for the page
     assert widget.camera == CAMERA
-
-
-# What it needs, and what is shown without
 
 
 def test_a_raster_without_a_place_is_refused_with_what_shows_it():

@@ -82,8 +82,6 @@ def run(command, folder):
     return done.stdout + done.stderr
 
 
-# Bundlers
-
 WORKER = "read-worker=terrainwave/src/read-worker.js"
 WEBPACK = """
 const [path, target] = process.argv.slice(2);
@@ -207,8 +205,6 @@ def test_a_policy_that_forbids_workers_leaves_the_page(site, browser, twz, heigh
     assert found["heights"] == heights
     assert len(found["warned"]) == 1
 
-
-# Maps
 
 README = (JS / "README.md").read_text()
 MAP_PAGE = """<!doctype html><title>A map</title><link rel="icon" href="data:,">

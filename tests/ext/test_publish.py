@@ -48,9 +48,6 @@ def site(twz, tmp_path_factory):
     return folder
 
 
-# The folder
-
-
 def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
     target = tmp_path / "site"
     result = run("publish", twz, target, "--json")
@@ -102,8 +99,6 @@ def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, line):
     assert line in result.stderr
     assert os.listdir(tmp_path) == ["a.twz"]
 
-
-# Tiles
 
 RASTERS = {
     "degrees": ("EPSG:4326", BOUNDS),
@@ -251,9 +246,6 @@ def test_height_maps_state_their_errors(twz, site):
     assert 0 < tile["error"] < 200
 
 
-# The page
-
-
 def show(driver, server, state="complete", hash_=""):
     driver.get("about:blank")
     driver.execute_cdp_cmd("Network.clearBrowserCache", {})
@@ -279,7 +271,6 @@ def large(tmp_path_factory):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
     publish_site([str(large)], tmp_path / "site")
     with static_server(tmp_path / "site") as server:
@@ -307,7 +298,6 @@ def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_server_without_ranges_sends_the_file_once(site, browser):
     with static_server(site, has_ranges=False) as server:
         driver = show(browser, server)
@@ -318,7 +308,6 @@ def test_a_server_without_ranges_sends_the_file_once(site, browser):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("gone", "line"),
     [("hills.twz", "HTTP status 404"), ("terrainwave/map/worker.js", "module of the worker")],
@@ -360,7 +349,6 @@ def keeping_stills(browser):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize(
     "hash_", ["", "view=46.2,8.25,9.3,30,50", "view=46.25,8.2,9.5,0,0&colours=cividis&shaded=0"]
 )
@@ -388,7 +376,6 @@ def test_the_still_is_the_map_to_come_and_goes_when_it_has(site, keeping_stills,
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_still_is_gone_when_a_user_moves_the_map(site, browser):
     """Without the map's tiles, the still stays until somebody does something."""
     with static_server(site) as server:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -143,8 +144,6 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
-
-# Heights at many places, as Open-Elevation and OpenTopoData are asked and answer.
 
 PLACES = [(46.2, 8.2), (46.31, 8.44), (0.0, 100.0), (46.0 + 0.4 / 65, 8.0 + 1e-9)]
 TEXT = "|".join(f"{lat!r},{lon!r}" for lat, lon in PLACES)
@@ -314,10 +313,7 @@ def test_damaged_files_are_one_line(tmp_path):
 
 
 def test_faults_of_our_own_show_no_traceback(hilly, monkeypatch):
-    def fail(*_):
-        raise RuntimeError("secret")
-
-    monkeypatch.setattr(tiling, "rgb_tile", fail)
+    monkeypatch.setattr(tiling, "rgb_tile", Mock(side_effect=RuntimeError("secret")))
     with client_of(hilly) as client:
         answer = client.get("/hills/rgb/0/0/0.png")
     assert answer.status_code == 500
@@ -571,9 +567,6 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     assert names == ["hills.tif", "nowhere.tif", "", "hills-2.tif"]
     assert answers[0]["info"]["effective_error"] > 0
     assert "No such file" in answers[2]["error"]
-
-
-# Where nobody knows the unit, nobody says metres.
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):

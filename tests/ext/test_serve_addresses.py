@@ -18,9 +18,6 @@ def client_of(*paths, host="http://127.0.0.1", client=LOOPBACK, **options):
     return TestClient(app, host, client=client, raise_server_exceptions=False)
 
 
-# ---- Restarts ----
-
-
 class BrowserCache:
     """Keeps replies as RFC 9111 lets a browser keep them, for some seconds at least."""
 
@@ -126,9 +123,6 @@ def test_only_addresses_that_name_all_that_a_tile_depends_on_are_kept(hilly):
         for address, is_kept in cases.items():
             said = client.get(address).headers["cache-control"]
             assert said == ("max-age=31536000, immutable" if is_kept else "no-cache"), address
-
-
-# ---- Proxies ----
 
 
 def tiles_of(client, **headers):

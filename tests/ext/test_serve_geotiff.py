@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -85,10 +86,11 @@ def test_a_version_is_known_by_any_of_the_names_a_client_has(asked, is_same_vers
 
 
 def test_a_file_that_cannot_be_read_is_told_before_the_answer_begins(client, monkeypatch):
-    def damaged(place, n_bytes):
-        raise CorruptStreamError("no")
-
-    monkeypatch.setattr(client.app.state.layers["hills"].geotiff, "read_at", damaged)
+    monkeypatch.setattr(
+        client.app.state.layers["hills"].geotiff,
+        "read_at",
+        Mock(side_effect=CorruptStreamError("no")),
+    )
     assert client.get("/hills.tif").status_code == 500
 
 

@@ -6,6 +6,7 @@ import os
 import select
 import socket
 import threading
+from unittest.mock import Mock
 
 import pytest
 from commands import one_line, run
@@ -60,9 +61,6 @@ def is_ended(client):
     except TimeoutError:
         return False
     return True
-
-
-# Connections
 
 
 @pytest.mark.usefixtures("quick")
@@ -203,9 +201,6 @@ def test_what_is_no_request_is_refused_without_a_line_in_the_log(address, reques
     assert not caplog.messages
 
 
-# Answers
-
-
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [
@@ -231,10 +226,7 @@ def told(caplog):
 
 
 def test_neither_a_path_nor_an_error_breaks_a_line_of_the_log(client, monkeypatch, told):
-    def damaged(*_):
-        raise CorruptStreamError("no\nsuch")
-
-    monkeypatch.setattr(tiling, "rgb_tile", damaged)
+    monkeypatch.setattr(tiling, "rgb_tile", Mock(side_effect=CorruptStreamError("no\nsuch")))
     assert client.get("/hills/rgb/%0A0/0/0.png").status_code == 500
     assert told() == ["hills: no such"]
 

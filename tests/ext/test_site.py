@@ -57,9 +57,6 @@ def test_the_folder_has_a_page_and_three_small_samples(tmp_path):
     assert run("site", target, "--overwrite", "-q").exit_code == 0
 
 
-# The page
-
-
 @pytest.fixture(scope="module")
 def rasters(tmp_path_factory):
     """Return a folder of hills.twz and bare.twz (on UTM), with their originals."""
@@ -140,7 +137,6 @@ def proved(driver):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_dropped_file_is_shown_with_what_it_says(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -168,7 +164,6 @@ def test_a_dropped_file_is_shown_with_what_it_says(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_raster_on_another_crs_lies_on_a_plane(page, rasters):
     page.find_element("id", "file").send_keys(str(rasters / "bare.twz"))
     shown(page, "bare")
@@ -184,7 +179,6 @@ def test_a_raster_on_another_crs_lies_on_a_plane(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_file_with_its_original_is_proved(page, rasters):
     drop(page, rasters / "hills.twz", rasters / "hills.tif")
     assert "all 100,800 samples are within 8 m" in proved(page)
@@ -210,7 +204,6 @@ def test_a_file_with_its_original_is_proved(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_changed_sample_another_raster_and_other_files_are_told_in_words(page, rasters, tmp_path):
     with rasterio.open(rasters / "hills.tif") as raster:
         heights = raster.read(1)
@@ -243,7 +236,6 @@ def test_a_changed_sample_another_raster_and_other_files_are_told_in_words(page,
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_proof_can_be_cancelled_and_begun_again(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -259,7 +251,6 @@ def test_a_proof_can_be_cancelled_and_begun_again(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_proof_that_was_cancelled_says_nothing_of_the_next_one(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -278,7 +269,6 @@ def test_a_proof_that_was_cancelled_says_nothing_of_the_next_one(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_odd_files_are_opened_one_after_another(page, rasters, tmp_path):
     """Flat terrain, nothing but voids, an address that is none; older terrains open anew."""
     write_twz(tmp_path, hills(129, 161) * 0, BOUNDS, max_error=0, name="flat")
@@ -309,7 +299,6 @@ def test_odd_files_are_opened_one_after_another(page, rasters, tmp_path):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_the_part_in_view_is_saved(page, rasters, tmp_path):
     page.execute_cdp_cmd(
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
@@ -373,7 +362,6 @@ def compare_saved(twz, level, path):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_the_mesh_follows_the_tolerance_and_states_its_error(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -405,7 +393,6 @@ def test_the_mesh_follows_the_tolerance_and_states_its_error(page, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_a_file_on_another_host_is_opened_by_its_url(site, browser, rasters):
     allowed = {
         "Access-Control-Allow-Origin": "*", "Access-Control-Allow-Headers": "Range",
@@ -432,7 +419,6 @@ def test_a_file_on_another_host_is_opened_by_its_url(site, browser, rasters):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_fits_a_phone_in_light_and_dark(page, scheme):
     page.execute_cdp_cmd(
@@ -473,7 +459,6 @@ def luminance(color):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_all_can_be_reached_by_keys_and_has_a_name(page):
     for name in ("facts", "meshing", "saving", "proving"):
         unfold(page, name)
@@ -499,7 +484,6 @@ def test_all_can_be_reached_by_keys_and_has_a_name(page):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.firefox
 def test_firefox_opens_and_proves_too(site, rasters):
     from ext.firefox import firefox

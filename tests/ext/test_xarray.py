@@ -162,22 +162,6 @@ def test_scale_and_offset_are_applied(tmp_path):
         assert (attrs["scale_factor"], attrs["add_offset"]) == (0.1, -50.0)
 
 
-def test_voids_of_a_mask_are_nan_whatever_lies_below(tmp_path):
-    heights = terrain_like(20, 20)
-    mask = np.ones((20, 20), bool)
-    mask[3:7] = False
-    tif = write_geotiff(tmp_path / "a.tif", heights, mask=mask)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
-    with xr.open_dataset(tmp_path / "a.twz") as dataset:
-        np.testing.assert_array_equal(dataset.heights.notnull(), mask)
-
-
-def test_raster_without_voids_keeps_its_type(tmp_path):
-    terrainwave.compress(terrain_like(20, 20), tmp_path / "a.twz", max_error=0, **QUICK)
-    with xr.open_dataset(tmp_path / "a.twz") as dataset:
-        assert dataset.heights.dtype == np.int16
-
-
 def test_rotated_raster_has_a_transform_and_places_of_each_sample(tmp_path):
     rotated = Affine(10, 2, 100, 3, -10, 200)
     tif = write_geotiff(tmp_path / "a.tif", terrain_like(20, 20), transform=rotated)
@@ -188,9 +172,6 @@ def test_rotated_raster_has_a_transform_and_places_of_each_sample(tmp_path):
         with rioxarray.open_rasterio(tif) as expected:
             np.testing.assert_array_equal(dataset.xc, expected.xc)
             np.testing.assert_array_equal(dataset.yc[3:9, 4], expected.yc[3:9, 4])
-
-
-# The accessor.
 
 
 def test_array_that_was_opened_is_written_with_its_place(terrain_file, tmp_path):
@@ -216,14 +197,6 @@ def test_pixels_stay_exact_where_coordinates_are_rounded(tmp_path):
     with terrainwave.open(tmp_path / "b.twz") as terrain:
         cut = (size, 0.0, place.c + 3 * size, 0.0, -size, place.f - 7 * size)
         assert terrain.raster_info.transform == cut
-
-
-def test_dask_array_is_written_within_the_bound(tmp_path):
-    heights = terrain_like(70, 80, "float32")
-    array = xr.DataArray(heights, dims=("y", "x")).chunk({"y": 32, "x": 32})
-    array.terrainwave.to_twz(tmp_path / "a.twz", max_error=0.5, **QUICK)
-    with terrainwave.open(tmp_path / "a.twz") as terrain:
-        assert np.abs(terrain.read().astype(np.float64) - heights).max() <= 0.5
 
 
 @pytest.mark.parametrize(

@@ -98,9 +98,6 @@ def test_array_without_coordinates_has_the_place_of_its_transform():
     assert any("would be wrong if it was cut since" in note for note in notes)
 
 
-# Scale and offset.
-
-
 def packed(tmp_path, dtype="int16", nodata=-9):
     """Return the path of a raster of 200 to 1000 m in tenths above 100 m, with a void."""
     stored = np.linspace(1000, 9000, 20 * 20).reshape(20, 20).astype(dtype)

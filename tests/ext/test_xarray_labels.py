@@ -48,8 +48,6 @@ def read(source, **options):
             return *raster.read(0, 0, info.n_rows, info.n_cols), info, raster.notes
 
 
-# Which dimension is x.
-
 CF = {
     "axis": ({"axis": "X"}, {"axis": "Y"}),
     "standard name": (
@@ -123,9 +121,6 @@ def test_both_dimensions_that_call_themselves_x_are_refused():
         read(labelled("a", "b", x_attrs={"axis": "X"}, y_attrs={"axis": "x"}))
 
 
-# Which layer.
-
-
 def test_first_of_several_bands_is_taken_with_a_note_and_others_are_chosen():
     array = xr.concat([labelled() + number for number in (0, 1, 2)], "band").transpose(
         "y", "x", ...
@@ -146,9 +141,6 @@ def test_arrays_that_are_no_raster_are_refused(dims):
         read(xr.DataArray(np.zeros((3,) * dims, "i2")))
 
 
-# Datasets and trees.
-
-
 @pytest.mark.parametrize("data", [xr.Dataset(), xr.Dataset({"a": ("x", [1.0])})])
 def test_dataset_without_heights_is_refused(data):
     with pytest.raises(InvalidHeightsError, match="no variable of rows and columns"):
@@ -160,9 +152,6 @@ def test_node_of_a_tree_is_taken_and_its_root_says_which_there_are():
     np.testing.assert_array_equal(read(tree["low"])[0], HEIGHTS)
     with pytest.raises(InvalidHeightsError, match="groups are low, high"):
         read(tree)
-
-
-# Where.
 
 
 def mercator(n):
@@ -275,9 +264,7 @@ def test_radians_are_no_degrees(unit, crs):
         y_attrs={"units": unit, "standard_name": "latitude"},
     )
     array = array if crs is None else array.rio.write_crs(crs)
-    with pytest.raises(
-        InvalidHeightsError, match=f"is in {unit}, (and no CRS|the unit of its CRS is deg)"
-    ):
+    with pytest.raises(InvalidHeightsError, match=f"is in {unit}, (and no CRS|.* deg)"):
         read(array)
 
 
@@ -293,9 +280,6 @@ def test_coordinates_that_are_no_numbers_are_refused():
     array = labelled().assign_coords(y=np.arange(N_ROWS).astype("datetime64[D]"))
     with pytest.raises(InvalidHeightsError, match=r"y is of type datetime64.*expected numbers"):
         read(array)
-
-
-# Files whose place is no transform.
 
 
 def geolocated(path, heights):
@@ -334,8 +318,6 @@ def test_file_placed_by_points_or_arrays_loses_place_and_crs_with_a_note(tmp_pat
         terrainwave.compress(path, tmp_path / "a.twz", max_error=0)
     assert terrainwave.verify(tmp_path / "a.twz", path).ok
 
-
-# Voids.
 
 DECLARED = {
     "rio.set_nodata": lambda array, value: array.rio.set_nodata(value),
@@ -384,19 +366,6 @@ def test_all_declared_values_mark_voids_and_the_first_finite_one_is_stored(tmp_p
         assert not valid.ravel()[: len(voids)].any()
         assert valid.sum() == heights.size - len(voids)
         assert (found[~valid] == -9999).all()
-
-
-@pytest.mark.parametrize(
-    ("nodata", "stored", "voids"),
-    [(-9999, -9999, (0, -1, -9999)), ("only:-9999", -9999, (-9999,)), ("none", None, ())],
-)
-def test_nodata_that_is_asked_for_adds_to_what_is_declared_or_replaces_it(nodata, stored, voids):
-    heights = HEIGHTS.copy()
-    heights.ravel()[:3] = 0, -1, -9999
-    array = labelled(heights=heights, attrs={"_FillValue": 0, "missing_value": -1})
-    _, valid, info, _ = read(array, nodata=nodata)
-    assert info.nodata == stored
-    np.testing.assert_array_equal(valid, ~np.isin(heights, voids))
 
 
 def test_packed_fill_values_of_decoded_arrays_are_no_heights():

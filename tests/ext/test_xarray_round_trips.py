@@ -27,8 +27,6 @@ QUICK = {"method": "store", "mesh": "none"}
 SHARED = sorted((Path(__file__).parents[2] / ".." / "shared" / "data").glob("*.tif"))
 
 
-# Coordinates.
-
 SECOND = 1 / 3600
 PLACES = {
     "UTM": (30.0, 0.0, 500_000.1, 0.0, -30.0, 5_000_000.7),
@@ -135,9 +133,6 @@ def test_real_raster_minus_its_file_loses_no_sample(tmp_path, tif):
             if is_exact:
                 difference = terrain.to_xarray(level=level) - expected
                 assert difference.shape == terrain.level_shape(level)
-
-
-# Written again.
 
 
 def raster(path, dtype, *, voids, packed, full=False):

@@ -181,8 +181,6 @@ def test_bad_configuration_is_refused(configuration):
         TerrainwaveCodec.from_dict({"name": "terrainwave", "configuration": configuration})
 
 
-# Writes in parts: what they do not touch stays as it is
-
 FILL = -32768
 
 

@@ -664,8 +664,6 @@ def test_a_level_that_is_no_number_is_refused(kinds, text):
     assert f"found level {text}" in ended.stderr
 
 
-# ---- Names in VRT files ----
-
 BY_LEVEL = """\
 <VRTDataset rasterXSize="{}" rasterYSize="{}"><VRTRasterBand dataType="UInt16" band="1">
 <SimpleSource><SourceFilename relativeToVRT="1">{}</SourceFilename><SourceBand>1</SourceBand>
@@ -699,9 +697,6 @@ def test_a_vrt_of_a_level_works_from_any_folder_and_moves_with_its_file(moved, n
         assert "give the level by the open option LEVEL" in line
         return
     assert by_python(READ_ALL, [str(folder / f"{name}.vrt")]) == [heights]
-
-
-# ---- Writing ----
 
 
 def test_a_file_that_is_there_survives_an_attempt_to_write_it(kinds, folder):
@@ -751,9 +746,6 @@ def test_commands_that_would_write_name_the_one_that_does(kinds, folder, command
     assert not list(folder.glob("target.twz.*"))
 
 
-# ---- Files that are wrong ----
-
-
 def test_an_invalid_file_is_one_error_line_at_most(folder):
     """Of those that only readers of meshes find wrong nothing may be said. `ctest` reads all."""
     for path in sorted((GOLDEN / "invalid").glob("*.twz"))[::3]:
@@ -796,9 +788,6 @@ def test_damaged_files_never_end_the_process(folder):
     )
     (folder / "small.twz").write_bytes(small)
     assert 0 < by_python(DAMAGE, str(folder / "small.twz")) < 600
-
-
-# ---- Other places than files ----
 
 
 def test_a_file_in_a_zip_is_read(kinds, folder):

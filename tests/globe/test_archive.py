@@ -2,6 +2,7 @@
 
 import json
 import os
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -87,10 +88,9 @@ def test_the_command_replaces_an_archive_only_if_told(tmp_path):
 def test_a_failure_leaves_no_file(tmp_path, monkeypatch):
     twz = make_twz(tmp_path)
 
-    def fail(*args, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(archive.tiling, "rgb_tile", fail)
+    monkeypatch.setattr(
+        archive.tiling, "rgb_tile", Mock(side_effect=OSError(28, "No space left on device"))
+    )
     result = run("tiles", twz, tmp_path / "dem.pmtiles", "--threads", 1)
     assert result.exit_code == 1
     assert "the disk is full" in result.stderr

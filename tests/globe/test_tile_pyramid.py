@@ -387,9 +387,6 @@ def test_command_writes_a_directory_and_replaces_only_tiles(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dem.tif", "dem.twz", "tiles"]
 
 
-# The finest zoom
-
-
 def hills(n_rows, n_cols):
     """Return hills of some hundred metres with steep slopes, to whole decimetres."""
     row, col = np.mgrid[:n_rows, :n_cols]

@@ -203,9 +203,6 @@ def test_a_segment_below_the_top_one_has_at_most_85_groups(grid):
         assert len(grid.segment_groups(head)) <= 85  # 1 + 4 + 16 + 64
 
 
-# Regions
-
-
 def cells(region):
     return {
         (row, col)

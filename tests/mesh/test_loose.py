@@ -53,7 +53,6 @@ def test_a_loose_mesh_is_watertight_and_tells_its_error(case, kind, tmp_path_fac
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 1, 10])
 @pytest.mark.parametrize(
     "method",

@@ -2,13 +2,12 @@
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from commands import environment, python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import (
@@ -52,9 +51,6 @@ def full_region(grid, level, window):
         min((n_rows - 1) * stride, grid.n_rows - 1 - row * stride) + 1,
         min((n_cols - 1) * stride, grid.n_cols - 1 - col * stride) + 1,
     )
-
-
-# Everything at once
 
 
 @given(case=cases(max_side=100))
@@ -108,7 +104,6 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
             assert area_problems(terrain, case, mesh, region, of_one_level, error) == []
 
 
-@pytest.mark.large
 @pytest.mark.full
 @pytest.mark.parametrize(("void", "share"), [("none", 1), ("disc", 4), ("corners", 1)])
 def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
@@ -138,7 +133,6 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
 def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
     """Beside finer ones where the coarse level has samples on the edge; 214 - 1 is odd."""
@@ -173,9 +167,6 @@ def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, 
     assert any(found) == is_beside_finer
 
 
-# Windows
-
-
 @pytest.mark.large
 def test_an_edge_through_a_corner_of_the_window_leaves_no_sliver(tmp_path):
     """The crossing was computed beside the corner: a vertex on another one, a triangle of none."""
@@ -206,9 +197,6 @@ def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
         left, bottom, right, top = one.bounds
         assert (left, right) == (c + 20.5 * a, c + 59.5 * a)
         assert (bottom, top) == (f + 69.5 * e, f + 10.5 * e)
-
-
-# What can't be had
 
 
 @pytest.mark.large
@@ -248,7 +236,6 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
 def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
     """Outlines of voids took the budget, so that the mesh was one of a far coarser level."""
@@ -295,9 +282,6 @@ class Inline:
         return map(function, values)
 
 
-# The same everywhere
-
-
 @pytest.mark.large
 def test_any_number_of_threads_gives_the_same_bytes_and_meshes(tmp_path):
     case = make_case("half sea", "disc", (200, 170), 4, max_error=2, block=32)
@@ -333,18 +317,9 @@ def kernel_meshes():
 @pytest.mark.full
 def test_kernels_give_the_same_meshes_as_plain_python():
     code = "import json, sys, test_mesh; json.dump(test_mesh.kernel_meshes(), sys.stdout)"
-    environment = os.environ | {
-        "NUMBA_DISABLE_JIT": "1",
-        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-    }
-    ran = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True,
-        cwd=os.path.dirname(__file__),
-    )  # fmt: skip
+    without = environment(NUMBA_DISABLE_JIT="1")
+    ran = python(code, env=without, check=True, cwd=os.path.dirname(__file__))
     assert json.loads(ran.stdout) == kernel_meshes()
-
-
-# What `verify --mesh` finds
 
 
 def with_mesh_code(path, target, block, code):

@@ -117,9 +117,7 @@ def ecef(terrain):
 def test_nothing_on_a_globe_is_made_of_impossible_places(twz, make):
     with (
         terrainwave.open(twz) as terrain,
-        pytest.raises(
-            InvalidHeightsError, match=r"latitudes of 99\.995 degrees.*x and y look swapped"
-        ),
+        pytest.raises(InvalidHeightsError, match=r"99\.995 degrees.*swapped"),
     ):
         make(terrain)
 

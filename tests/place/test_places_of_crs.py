@@ -78,9 +78,6 @@ def inside(rows, cols, by=0.0):
     return (rows >= by) & (rows <= N_ROWS - 1 - by) & (cols >= by) & (cols <= N_COLS - 1 - by)
 
 
-# In the raster's own coordinates
-
-
 @of_all
 def test_heights_are_sampled_where_the_affine_says(case):
     terrain, (rows, cols) = terrain_of(case), _STEP_AT
@@ -100,9 +97,6 @@ def test_samples_of_a_coarse_level_lie_where_they_lay(case):
     x, y = a * (cols + 0.5) + b * (rows + 0.5) + c, d * (cols + 0.5) + e * (rows + 0.5) + f
     np.testing.assert_allclose(case.xy(2 * rows, 2 * cols), (x, y), rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(heights.ravel(), plane(2 * rows, 2 * cols), atol=1e-4)
-
-
-# On the globe
 
 
 @of_all
@@ -192,9 +186,6 @@ def test_cesium_tiles_have_the_heights_of_their_vertices(case):
     assert np.abs(heights - expected)[within].max() < 1.0
 
 
-# Meshes
-
-
 _MESHES = {}
 
 
@@ -270,9 +261,6 @@ def _stretch_of_the_map(case, middle):
     return factors.tissot_semiminor, factors.tissot_semimajor
 
 
-# The viewer
-
-
 @of_some
 def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
     terrain = terrain_of(case)
@@ -288,9 +276,6 @@ def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
         _, lat = case.lonlat(rows, cols)
         assert frame.latitudes == pytest.approx((lat.min(), lat.max()), abs=np.ptp(lat) / 2)
         assert frame.latitudes[0] < frame.latitudes[1]
-
-
-# Without a place
 
 
 def test_degrees_without_a_crs_are_guessed_on_the_globe():

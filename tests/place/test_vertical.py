@@ -1,15 +1,13 @@
 """Heights above the ellipsoid: by a grid that the tests write, or not at all."""
 
 import json
-import os
-import subprocess
-import sys
 import warnings
 
 import numpy as np
 import pyproj
 import pytest
 import rasterio
+from commands import environment, python_with
 from place.grids import undulation, write_geotiff, write_gtx
 from quantized_mesh import read_tile
 from twz import twz_bytes
@@ -41,12 +39,13 @@ def grids(tmp_path, monkeypatch):
     pyproj.datadir.set_data_dir(before)
 
 
-def raster(tmp_path, crs, heights, *, nodata=None, units=None, **options):
-    """Return the path of a .twz file around 10.2 E, 46.1 N."""
+def raster(tmp_path, crs, heights, *, place=None, nodata=None, units=None, **options):
+    """Return the path of a .twz file; `place` is (pixel, left, top), by default 10.2 E, 46.1 N."""
     path = tmp_path / "dem.twz"
-    transform = rasterio.Affine(1e-3, 0, 10.2, 0, -1e-3, 46.1)
-    if not pyproj.CRS.from_user_input(crs).is_geographic:
-        transform = rasterio.Affine(90, 0, 590000, 0, -90, 5105000)
+    if place is None:
+        is_geographic = pyproj.CRS.from_user_input(crs).is_geographic
+        place = (1e-3, 10.2, 46.1) if is_geographic else (90, 590000, 5105000)
+    transform = rasterio.Affine(place[0], 0, place[1], 0, -place[0], place[2])
     with rasterio.open(
         "", "w+", driver="MEM", height=N, width=N, count=1, dtype=heights.dtype, crs=crs,
         transform=transform, nodata=nodata,
@@ -75,9 +74,6 @@ def places(path):
 
 
 CASES = [(EGM96, 1.0, None), (FEET, SURVEY_FOOT, None), (FEET, 1.0, "m")]
-
-
-# Rasters
 
 
 @pytest.mark.parametrize(("crs", "metres", "units"), CASES)
@@ -155,9 +151,6 @@ def test_heights_of_a_part_of_the_bits_state_no_bound(grids, tmp_path):
         assert "TERRAINWAVE" not in dataset.tag_namespaces()
 
 
-# The globe
-
-
 @pytest.mark.parametrize(("crs", "metres", "units"), CASES)
 def test_cesium_tiles_count_from_the_ellipsoid(grids, tmp_path, crs, metres, units):
     twz = raster(tmp_path, crs, hills(), units=units)
@@ -210,20 +203,11 @@ def test_what_the_geoid_bends_under_triangles_is_in_the_error(tmp_path, monkeypa
 
     monkeypatch.setattr(module, "undulation", lambda lon, lat: 40 + 300 * (lon - 10) ** 2)
     write_geotiff(grids / "us_nga_egm96_15.tif")
-    path = tmp_path / "flat.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs=EGM96,
-        transform=rasterio.Affine(0.1, 0, 9, 0, -0.1, 48),
-    ) as dataset:  # fmt: skip
-        dataset.write(np.zeros((1, N, N), np.float32))
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, EGM96, np.zeros((N, N), np.float32), place=(0.1, 9, 48))
     with terrainwave.open(path) as terrain:
         mesh = terrain.mesh(max_error=1.0)
         found = to_frame(mesh, "ecef", vertical="ellipsoid")
     assert found.error > mesh.error + 1.0
-
-
-# As they are
 
 
 def test_as_is_is_the_default_with_one_note_of_the_datum(tmp_path):
@@ -276,9 +260,6 @@ def test_depths_go_down(tmp_path):
             mesh.save(tmp_path / "a.stl", frame="local", solid=0.0)
 
 
-# Refusals
-
-
 def test_a_missing_grid_is_named_with_the_command_that_fetches_it(tmp_path):
     twz = raster(tmp_path, EGM96, hills())
     with pytest.raises(InvalidHeightsError) as told:
@@ -293,13 +274,7 @@ def test_a_missing_grid_is_named_with_the_command_that_fetches_it(tmp_path):
 def test_a_second_best_operation_does_not_stand_in_for_the_best(tmp_path, grids):
     # PROJ's first way from NAP needs two files, its second one the first of them
     write_geotiff(grids / "nl_nsgi_nlgeo2018.tif")
-    path = tmp_path / "dem.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs="EPSG:7415",
-        transform=rasterio.Affine(90, 0, 155000, 0, -90, 463000),
-    ) as dataset:  # fmt: skip
-        dataset.write(hills(), 1)
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, "EPSG:7415", hills(), place=(90, 155000, 463000))
     with pytest.raises(InvalidHeightsError, match=r"PROJ's nl_nsgi_rdtrans2018\.tif to become"):
         terrainwave.decompress(path, tmp_path / "a.tif", vertical="ellipsoid")
 
@@ -324,13 +299,7 @@ def test_a_crs_without_a_vertical_datum_is_refused(tmp_path):
 
 
 def test_a_grid_that_ends_within_the_raster_is_told(tmp_path, grids):
-    path = tmp_path / "dem.twz"
-    with rasterio.open(
-        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs=EGM96,
-        transform=rasterio.Affine(0.1, 0, 3.5, 0, -0.1, 46.1),
-    ) as dataset:  # fmt: skip
-        dataset.write(hills()[None])
-        path.write_bytes(twz_bytes(dataset, max_error=0))
+    path = raster(tmp_path, EGM96, hills(), place=(0.1, 3.5, 46.1))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(InvalidHeightsError, match=r"egm96_15\.tif does not cover all"):
@@ -348,14 +317,8 @@ def test_other_frames_and_words_are_refused(tmp_path):
         to_frame(mesh, "ecef", vertical="geoid")
 
 
-# The command
-
-
-def run(*args, **env):
-    return subprocess.run(
-        [sys.executable, "-m", "terrainwave", *map(str, args)],
-        capture_output=True, text=True, check=False, env=os.environ | env,
-    )  # fmt: skip
+def run(*args, **variables):
+    return python_with(["-m", "terrainwave", *args], env=environment(**variables))
 
 
 @pytest.mark.full

@@ -66,15 +66,6 @@ def test_levels_and_windows_hold_the_samples_of_the_places_they_name(tmp_path, k
         assert expected[0] == 3 * 10 + 2 * 14
 
 
-def test_sample_at_the_centre_of_a_pixel_is_that_sample(tmp_path):
-    heights = terrain_like(40, 40)
-    tif = write_geotiff(tmp_path / "a.tif", heights, crs="EPSG:32633", transform=HALF_METRE)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
-    with terrainwave.open(tmp_path / "a.twz") as terrain:
-        (found,) = terrain.sample([HALF_METRE @ (17.5, 3.5)])
-    assert found == pytest.approx(heights[3, 17], abs=1e-4)
-
-
 @pytest.mark.parametrize(
     ("crs", "units"),
     [
@@ -102,16 +93,3 @@ def test_bound_and_heights_are_in_feet_where_the_raster_is(tmp_path):
     assert (result.units, result.max_error) == ("ft", 0.5)
     with terrainwave.open(tmp_path / "a.twz") as terrain:
         assert np.abs(terrain.read().astype(np.float64) - heights).max() <= 0.5
-
-
-def test_bound_holds_after_scale_and_offset(tmp_path):
-    stored = terrain_like(40, 40)
-    bands = {"scales": 0.1, "offsets": 100.0}
-    tif = write_geotiff(tmp_path / "a.tif", stored, bands=bands, transform=HALF_METRE)
-    terrainwave.compress(
-        tif, tmp_path / "a.twz", max_error=0.25, **QUICK
-    )  # physical: 2 stored steps
-    terrainwave.decompress(tmp_path / "a.twz", tmp_path / "b.tif")
-    with rasterio.open(tmp_path / "b.tif") as back:
-        assert (back.scales, back.offsets) == ((0.1,), (100.0,))
-        assert np.abs(back.read(1).astype(int) - stored).max() == 2

@@ -5,9 +5,7 @@ import re
 import numpy as np
 import pytest
 import rasterio
-from rasterio.control import GroundControlPoint
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
@@ -75,19 +73,6 @@ def test_several_alpha_bands_all_count_and_are_named(tmp_path):
         source = RasterSource(path)
     with source:
         assert read_all(source)[1].tolist() == [[True, False, False]]
-
-
-def test_a_place_that_is_lost_is_said(tmp_path):
-    points = [GroundControlPoint(r, c, 10.0 + c, 50.0 - r) for r, c in [(0, 0), (0, 9), (9, 0)]]
-    with pytest.warns(NotGeoreferencedWarning):
-        rasterio.open(write_geotiff(tmp_path / "a.tif", terrain_like(10, 10))).close()
-    with rasterio.open(
-        tmp_path / "b.tif", "w", driver="GTiff", width=10, height=10, count=1, dtype="int16",
-        gcps=points, crs="EPSG:4326",
-    ) as dataset:  # fmt: skip
-        dataset.write(terrain_like(10, 10), 1)
-    with pytest.warns(TerrainwaveWarning, match="GCPs are dropped.* place and CRS are lost"):
-        RasterSource(tmp_path / "b.tif").close()
 
 
 @pytest.mark.parametrize(

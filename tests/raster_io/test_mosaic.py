@@ -212,9 +212,7 @@ def test_raster_turned_by_another_angle_is_refused_with_the_angle(tmp_path):
     first = tile(tmp_path / "a.tif", terrain_like(4, 4))
     place = Affine.translation(500_120, 5_000_000) @ Affine.rotation(-30) @ Affine.scale(30, -30)
     second = write_geotiff(tmp_path / "b.tif", terrain_like(4, 4), transform=place, crs=CRS)
-    with pytest.raises(
-        InvalidHeightsError, match=r"found pixels of 30 x 30, turned by -30 degrees, .*direction"
-    ):
+    with pytest.raises(InvalidHeightsError, match="turned by -30 degrees"):
         RasterSource([first, second])
 
 
@@ -268,9 +266,6 @@ def test_each_file_is_opened_once_more_for_a_scan_and_few_at_a_time(tmp_path, mo
             source.read(*window)
     assert len(opened) <= 2 * len(names)
     assert most <= 12 + 1
-
-
-# The command.
 
 
 @pytest.mark.filterwarnings("ignore::terrainwave.TerrainwaveWarning")

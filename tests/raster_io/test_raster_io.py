@@ -6,16 +6,17 @@ import math
 import os
 import shutil
 import socketserver
-import subprocess
 import sys
 import tempfile
-import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import rasterio
+from commands import python
 from forks import holds_in_a_fork
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -64,9 +65,6 @@ def write_all(path, info, heights, valid, **options):
 
 def file_names(folder):
     return sorted(os.listdir(folder))
-
-
-# --- round trips -------------------------------------------------------------------------------
 
 
 @pytest.mark.few(8)
@@ -229,9 +227,6 @@ def test_striped_and_tiled_sources_are_read_alike(tmp_path, layout):
         np.testing.assert_array_equal(source.read(7, 900, 200, 130)[0], heights[7:207, 900:1030])
 
 
-# --- voids -------------------------------------------------------------------------------------
-
-
 def test_nodata_and_mask_both_make_voids(tmp_path):
     heights = np.array([[1, 2, 3, -9]], dtype="int16")
     path = write_geotiff(tmp_path / "a.tif", heights, mask=[[True, False, True, True]], nodata=-9)
@@ -293,9 +288,6 @@ def test_void_in_a_raster_without_voids_is_a_corrupt_file(tmp_path):
     assert file_names(tmp_path) == []
 
 
-# --- arrays ------------------------------------------------------------------------------------
-
-
 def test_array_is_copied_and_byte_order_made_native():
     heights = terrain_like(4, 5).astype(">i2")
     source = RasterSource(heights)
@@ -354,9 +346,6 @@ class FakeDataArray:
         return FakeDataArray(self.values.T, dims, self.coords, self.attrs)
 
 
-# --- scanning ----------------------------------------------------------------------------------
-
-
 @given(
     shape=st.tuples(st.integers(1, 60), st.integers(1, 60)),
     block=st.tuples(st.integers(1, 70), st.integers(1, 70)),
@@ -386,15 +375,9 @@ def test_many_threads_read_the_same_heights(tmp_path):
                 if (found != heights[row : row + 100, col : col + 100]).any():
                     wrong.append((row, col))
 
-        threads = [threading.Thread(target=read_some, args=(seed,)) for seed in range(6)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(6) as pool:
+            list(pool.map(read_some, range(6)))
     assert not wrong
-
-
-# --- what the source says ----------------------------------------------------------------------
 
 
 def test_several_bands_are_noted_and_can_be_chosen(tmp_path):
@@ -446,13 +429,6 @@ def test_text_file_is_no_raster(tmp_path):
     assert "\n" not in str(error.value)
 
 
-def test_twz_file_is_refused_with_advice(tmp_path):
-    path = tmp_path / "a.twz"
-    path.write_bytes(b"\x89TWZ\r\n\x1a\n" + bytes(100))
-    with pytest.raises(InvalidHeightsError, match="already a terrainwave file"):
-        RasterSource(path)
-
-
 def test_unreadable_window_names_rows_and_columns(tmp_path):
     heights = np.random.default_rng(0).integers(0, 9999, (300, 300)).astype("int16")
     path = write_geotiff(tmp_path / "a.tif", heights, compress="DEFLATE", blockysize=10)
@@ -475,9 +451,6 @@ def test_window_past_the_end_of_a_cut_file_is_unreadable(tmp_path):
         source.read(0, 0, 10, 300)
         with pytest.raises(StorageError, match="rows 290 to 299"):
             source.read(290, 0, 10, 300)
-
-
-# --- metadata ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("nodata", [None, -9999, -9999.5, math.nan, math.inf, -math.inf])
@@ -532,21 +505,6 @@ def test_crs_from_a_file_fetches_no_url():
     assert not requests
 
 
-# --- writing -----------------------------------------------------------------------------------
-
-
-def test_existing_target_is_refused_without_overwrite(tmp_path):
-    path = tmp_path / "a.tif"
-    path.write_bytes(b"mine")
-    info = RasterInfo(2, 2, "int16")
-    with pytest.raises(StorageError, match="already exists"):
-        RasterSink(path, info)
-    assert path.read_bytes() == b"mine"
-    write_all(path, info, np.zeros((2, 2), "int16"), np.ones((2, 2), bool), overwrite=True)
-    assert path.read_bytes()[:2] == b"II"
-    assert file_names(tmp_path) == ["a.tif"]
-
-
 @pytest.mark.parametrize("cog", [False, True])
 def test_interrupted_writing_leaves_the_target_as_it_was(tmp_path, cog):
     path = tmp_path / "a.tif"
@@ -565,15 +523,14 @@ def test_interrupted_writing_leaves_the_target_as_it_was(tmp_path, cog):
 
 @pytest.mark.parametrize("takes_more", [True, False])
 def test_a_full_disk_ends_a_sink_of_several_threads_at_once(tmp_path, monkeypatch, takes_more):
-    def temporary_file(**_):
-        raise OSError(errno.ENOSPC, "no space")
-
     heights, valid = np.zeros((512, 512), np.int16), np.ones((512, 512), np.bool_)
     sink = RasterSink(tmp_path / "a.tif", RasterInfo(600, 600, "int16"), n_threads=2)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
     if takes_more:  # of this user alone
         sink.write(0, 0, heights, valid)
-    monkeypatch.setattr(tempfile, "TemporaryFile", temporary_file)
+    monkeypatch.setattr(
+        tempfile, "TemporaryFile", Mock(side_effect=OSError(errno.ENOSPC, "no space"))
+    )
     with pytest.raises(StorageError, match=r"a\.tif: the disk is full"):
         sink.write(0, 0, heights, valid)
     sink.abort()
@@ -626,20 +583,11 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind, threa
     write_all(path, RasterInfo(side, side, "int16"), heights, heights == heights)
     limit = path.stat().st_size - missing
     path.unlink()
-    run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path), str(limit), kind, str(threads), str(side)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    run = python(FULL_DISK, path, limit, kind, threads, side)
     assert run.returncode == 1, run.stderr
     assert "StorageError" in run.stderr
     assert "Traceback" not in run.stderr
     assert file_names(tmp_path) == []
-
-
-# --- cloud-optimised GeoTIFF -------------------------------------------------------------------
 
 
 def test_cog_overviews_are_averages_of_the_grid(tmp_path):
@@ -681,8 +629,6 @@ def test_cog_keeps_an_internal_mask(tmp_path):
         np.testing.assert_array_equal(read_all(source)[1], valid)
 
 
-# --- memory ------------------------------------------------------------------------------------
-
 MEMORY = """
 import resource, sys, numpy as np
 from terrainwave.raster_io.raster_info import RasterInfo
@@ -704,13 +650,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - start) // 1024)
 @pytest.mark.full
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit or is missing")
 def test_memory_stays_flat_on_a_raster_of_256_megabytes(tmp_path):
-    run = subprocess.run(
-        [sys.executable, "-c", MEMORY, str(tmp_path / "a.tif")],
-        capture_output=True,
-        text=True,
-        check=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
-    )
+    run = python(MEMORY, tmp_path / "a.tif", check=True)
     # 64 MiB of GDAL's cache and a few windows of 4 Mi samples.
     assert int(run.stdout) < 140
 

@@ -7,16 +7,17 @@ import json
 import os
 import pickle
 import subprocess
-import sys
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from commands import environment, python
 from conformance import library as reader
 from golden_files import GOLDEN
-from native_site import ROOT, found_at
+from native_site import found_at
 from strategies import terrain_like
 from twz import twz_bytes
 
@@ -80,9 +81,6 @@ def outcome(read, *arguments, **options):
     arrays = found if isinstance(found, tuple) else (found,)
     parts = [(part.dtype, part.shape, np.ma.filled(part).tobytes()) for part in arrays]
     return parts, [str(warning.message) for warning in told]
-
-
-# ---- The same heights ----
 
 
 @pytest.mark.native
@@ -238,9 +236,6 @@ def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypa
             assert len(finest) == len(set(finest)) > 10
 
 
-# ---- Damage ----
-
-
 @pytest.mark.native
 @pytest.mark.full
 def test_invalid_files_are_refused_in_the_same_words(with_library):
@@ -280,18 +275,20 @@ def test_damage_is_told_and_masked_the_same(method, with_library):
 @pytest.mark.native
 @pytest.mark.full
 def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
-    def refuse(self, level, region, *, is_own):
-        raise native.NativeError(native_library.Failure(native_library.CORRUPT, b"bits of straw"))
-
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
-    monkeypatch.setattr(native.NativeFile, "window", refuse)
+    monkeypatch.setattr(
+        native.NativeFile,
+        "window",
+        Mock(
+            side_effect=native.NativeError(
+                native_library.Failure(native_library.CORRUPT, b"bits of straw")
+            )
+        ),
+    )
     with terrainwave.open(data) as terrain:
         with pytest.warns(TerrainwaveWarning, match=r"bits of straw.*please report it"):
             heights = terrain.read()
     assert np.array_equal(heights, HEIGHTS)
-
-
-# ---- Lives ----
 
 
 @pytest.mark.native
@@ -356,15 +353,9 @@ def test_a_first_read_imports_no_compiler(library):
         "print(*sorted({'numba', 'llvmlite', 'pyproj'} & set(sys.modules)))\n"
     )
     for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
-        run = subprocess.run(
-            [sys.executable, "-c", code, GOLDEN / "v2" / "rapid-int16-lossless.twz"],
-            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), native_library.SWITCH: switch},
-            capture_output=True, text=True, check=True,
-        )  # fmt: skip
+        switched, golden = environment(**{native_library.SWITCH: switch}), GOLDEN / "v2"
+        run = python(code, golden / "rapid-int16-lossless.twz", env=switched, check=True)
         assert run.stdout.strip() == imported
-
-
-# ---- Whether it is used ----
 
 
 @pytest.mark.native

@@ -44,7 +44,6 @@ def own(terrain, level, valid=VALID):
     return valid[::stride, ::stride]
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("border_rings", [1, 3])
 @pytest.mark.parametrize("method", METHODS)
 def test_exact_voids_are_those_of_the_full_grid(method, border_rings):
@@ -90,7 +89,6 @@ def test_voids_that_the_header_does_not_tell_are_corrupt(method):
         terrain.read()
 
 
-@pytest.mark.large
 def test_exact_voids_are_the_default():
     with terrainwave.open(made(), threads=2) as terrain:
         for level in range(terrain.n_levels):
@@ -149,7 +147,6 @@ def test_early_reads_leave_fills_out():
             np.testing.assert_array_equal(found.valid, reference.level_mask(VALID, shift))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("kind", some(["mask", "nan", "nodata"], 3))
 def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
     heights, profile = HEIGHTS, {"nodata": NODATA}

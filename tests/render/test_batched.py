@@ -35,9 +35,6 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-# The filters
-
-
 def coarser(fine, order, valid=None):
     """Return the level above `fine`, and NaN where its samples are void."""
     valid = np.ones(fine.shape, bool) if valid is None else valid
@@ -94,9 +91,6 @@ def test_the_border_follows_from_its_line_alone_and_voids_stay():
     found = coarser(one, 4, valid)
     assert np.isnan(found[2:5, 2:5]).all()
     assert np.isnan(found).sum() == 9
-
-
-# The surface of a block
 
 
 def height_at(vertices, row, col):
@@ -159,9 +153,6 @@ def bilinear(fine, row, col):
     return np.array([1 - t, t]) @ fine[r : r + 2, c : c + 2] @ np.array([1 - s, s])
 
 
-# What is drawn
-
-
 def drawn_samples(scene, frames, heights):
     """Yield node, rows, cols and drawn metres of the samples under each block."""
     side, grid = scene.terrain.grid.block, scene.terrain.grid
@@ -188,7 +179,6 @@ def drawn_samples(scene, frames, heights):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize("orientation", [False, True])
 def test_no_original_in_view_is_further_than_tau_from_the_surface(
     original_and_terrain, orientation
@@ -221,7 +211,6 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(
     assert n_morphed > 0
 
 
-@pytest.mark.large
 def test_every_valid_sample_is_drawn_and_no_block_twice(original_and_terrain):
     heights, valid, terrain = original_and_terrain
     with Scene(terrain, ListStore(), mode="batched") as scene:
@@ -237,7 +226,6 @@ def test_every_valid_sample_is_drawn_and_no_block_twice(original_and_terrain):
             assert n_cells == (heights.shape[0] - 1) * (heights.shape[1] - 1)
 
 
-@pytest.mark.large
 def test_boxes_hold_the_originals_and_all_vertices(original_and_terrain):
     heights, valid, terrain = original_and_terrain
     with Scene(terrain, ListStore(), mode="batched") as scene:
@@ -251,9 +239,6 @@ def test_boxes_hold_the_originals_and_all_vertices(original_and_terrain):
             z = block.heights[..., 0] + block.base
             assert low <= min(inside.min(initial=np.inf), np.nanmin(z)) + 1e-3
             assert high >= max(inside.max(initial=-np.inf), np.nanmax(z)) - 1e-3
-
-
-# The paper's criterion
 
 
 @pytest.fixture(params=[None, 1.25])
@@ -275,7 +260,6 @@ def levels_of(scene, nodes):
     return scene.mode.n_levels - 1 - scene.table.keys[nodes, 0]
 
 
-@pytest.mark.large
 def test_levels_follow_from_distances_as_in_equation_6(paper_scene, mu):
     scene, seen = paper_scene, set()
     rng = np.random.default_rng(6)
@@ -300,7 +284,6 @@ def test_levels_follow_from_distances_as_in_equation_6(paper_scene, mu):
     assert len(seen) > 2
 
 
-@pytest.mark.large
 def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene, mu):
     scene = paper_scene
     camera = Camera((0.0, -2500.0, scene.frame.box[1][2] + 300), 0, -25, 60)
@@ -318,10 +301,6 @@ def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene, mu):
     assert ((frames.morphs > 0) & (frames.morphs < 1)).any()
 
 
-# Loading
-
-
-@pytest.mark.large
 def test_all_blocks_in_view_are_loaded_breadth_first_once_the_needed_are_here():
     heights = np.round(hills(200, 200, 7)).astype(np.int16)
     with terrain_of(heights, block=32) as terrain:

@@ -60,7 +60,6 @@ def seen_from_the_side(canvas):
 
 @pytest.mark.few(4)
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize("mode", ALL)
 @pytest.mark.parametrize("tau", [1.0, 2.0, 4.0])
 def test_a_picture_is_within_its_caption(context, jagged, mode, tau):
@@ -90,7 +89,6 @@ def test_no_caption_says_less_than_a_gpu_draws(context):
 
 
 @pytest.mark.gl
-@pytest.mark.large
 def test_measuring_finds_a_surface_that_is_off(context, jagged, monkeypatch):
     """By about as many pixels as the vertices were moved."""
     from terrainwave.render.gpu import patch_surface

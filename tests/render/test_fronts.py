@@ -140,9 +140,6 @@ def test_nothing_pops(small, mode):
         assert 0 < fine < 0.5  # without a morph: 4
 
 
-# Patches that come and go
-
-
 def low_flight(scene, n_steps):
     """Across the terrain, its near parts much nearer than its far ones."""
     low, high = scene.frame.box

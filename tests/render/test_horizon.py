@@ -48,7 +48,6 @@ def are_hidden(frame, camera, points):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("mode", ["adaptive", "batched", "loose"])
 def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
     rng = np.random.default_rng(2)
@@ -79,7 +78,6 @@ def test_what_is_left_out_lies_behind_the_ground(mountains, mode):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.usefixtures("no_gl_errors")
 @pytest.mark.parametrize("mode", ["adaptive", "batched"])
 def test_no_pixel_changes_beyond_tau(context, mountains, mode):
@@ -105,7 +103,6 @@ def settled(mountains, **options):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_where_a_parent_stands_in_for_what_hides_nothing_is_left_out(mountains):
     scene, view = settled(mountains)
     with scene:

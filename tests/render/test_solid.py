@@ -79,7 +79,6 @@ def test_voids_are_filled_between_the_heights_around_them():
 
 
 @pytest.mark.gl
-@pytest.mark.large
 @pytest.mark.parametrize("mode", ["adaptive", "full", pytest.param("rqt", marks=pytest.mark.full)])
 def test_walls_close_the_block_and_hide_no_terrain(context, mode):
     heights = np.round(hills(90, 110, 1)).astype(np.int16)

@@ -74,7 +74,6 @@ def test_what_is_no_sea_level_is_refused(tmp_path, sea):
 
 @pytest.mark.full
 @pytest.mark.gl
-@pytest.mark.large
 def test_pictures_show_water_where_it_is(context):
     def blue_columns(heights, sea_level="auto"):
         heights = np.round(heights).astype(np.int16)

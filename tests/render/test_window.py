@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from commands import python, python_with
 from render.scenes import hills
 
 from terrainwave.write.compress import compress
@@ -106,11 +107,8 @@ def test_keys_and_mouse_move_the_camera_and_escape_closes(file, tmp_path):
 
 
 def test_without_a_display_one_line_names_render_and_what_to_install(file):
-    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
-    done = subprocess.run(
-        [sys.executable, "-m", "terrainwave", "view", str(file)],
-        capture_output=True, text=True, env=environment, timeout=120, check=False,
-    )  # fmt: skip
+    without = {name: value for name, value in os.environ.items() if "DISPLAY" not in name}
+    done = python_with(["-m", "terrainwave", "view", file], env=without)
     assert done.returncode == 1
     lines = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
     assert len(lines) == 1
@@ -156,9 +154,7 @@ with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
 assert len(drops) > 150, len(drops)
 print(*sizes)
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=400, check=False
-    )
+    done = python(code)
     assert done.returncode == 0, done.stderr
     sizes = [float(size) for size in done.stdout.split()]
     assert min(sizes[10:]) < min(sizes[:10]) + 20, sizes

@@ -49,9 +49,6 @@ def with_void(shape):
 CASES = [((16, 16), 16, False), ((16, 24), 8, False), ((13, 19), 8, True), ((5, 3), 4, False)]
 
 
-# The tree
-
-
 def test_parents_are_means_and_the_papers_error_is_the_largest_haar_coefficient():
     # By hand: (1 + 3 + 5 + 11) / 4 = 5; ¼|1 - 3 + 5 - 11| = 2, ¼|1 + 3 - 5 - 11| = 3,
     # ¼|1 - 3 - 5 + 11| = 1.
@@ -98,9 +95,6 @@ def test_errors_and_boxes_of_parents_hold_those_of_children():
 def test_what_is_no_raster_is_refused(heights, options, words):
     with pytest.raises(InvalidHeightsError, match=words):
         build_tree(heights, **options)
-
-
-# Marking
 
 
 @pytest.mark.parametrize("error", ["measured", "paper"])
@@ -167,9 +161,6 @@ def test_a_view_that_stays_touches_only_what_it_shows():
     np.testing.assert_array_equal(mesh.marks, before)
 
 
-# The mesh
-
-
 @pytest.mark.parametrize("error", ["measured", "paper"])
 @pytest.mark.parametrize(("shape", "patch", "has_void"), CASES)
 def test_fans_are_the_full_grid_with_all_samples_at_their_roots(shape, patch, has_void, error):
@@ -219,9 +210,6 @@ def test_a_mesh_is_watertight_and_covers_the_area_once():
     assert n_mixed > 2
 
 
-# Guarantees
-
-
 @pytest.mark.parametrize("morph", [1.0, 1.5])
 @pytest.mark.parametrize(("shape", "patch", "has_void"), CASES[1:3])
 def test_no_sample_is_further_than_tau_on_screen(shape, patch, has_void, morph):
@@ -253,17 +241,12 @@ def test_no_sample_of_a_larger_raster_is_further_than_tau_on_screen(morph):
         assert errors.max(initial=0) <= 2.5
 
 
-# Rasters that go on
-
-
 def open_edges(frame):
     """Edges of one triangle, each from its smaller vertex."""
     of = frame.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges, counts = np.unique(np.sort(of, axis=1), axis=0, return_counts=True)
     return {tuple(edge) for edge in edges[counts == 1].tolist()}
 
-
-# Meshes side by side
 
 TREE, TREES = 4, (9, 11)
 RINGS = 2  # of which the outer one tells errors in the inner one
@@ -450,9 +433,6 @@ def test_the_budget_is_kept_and_tau_sinks_again():
         again = mesh.update(eye, 1.0, max_vertices=1024)
     assert again.tau == 1.0
     assert len(again.vertices) == len(free.vertices)
-
-
-# Morphs
 
 
 def largest_jumps(mesh, shape, n_steps, morph):

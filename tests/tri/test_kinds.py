@@ -170,9 +170,6 @@ def test_a_raster_of_one_line_has_no_meshes(tmp_path):
                     assert terrain.mesh_error(block) == 0
 
 
-# Bytes of a block
-
-
 class Samples:
     def __init__(self, heights, mask):
         self.heights, self.mask, self.locked = heights, mask, ~mask
@@ -210,9 +207,6 @@ def test_the_example_of_the_annex():
     wanted[0, 1] = True
     draft = STORED_KINDS["rqt"].draft(samples, 16, border_of(wanted))
     assert STORED_KINDS["rqt"].encode(samples, 16, draft) == payload
-
-
-# Hostile sections
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,6 @@ def test_the_example_of_the_annex():
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_rough_terrain_is_told_from_smooth_by_its_heights():
     rng = np.random.default_rng(3)
     rows, cols = np.mgrid[:129, :129]

@@ -132,9 +132,6 @@ def test_borders_where_the_raster_goes_on_are_named_and_measured():
     assert len(frame.edges) > 10
 
 
-# Morphs
-
-
 def surface_of(frame, shape, every=1):
     """Heights of a mesh over samples; NaN where it has none."""
     found = np.full(shape, np.nan)

@@ -124,9 +124,6 @@ def test_deviation_is_exact(mask, seed):
     assert (found.n_beyond > 0) == (worst > int(worst))
 
 
-# Broken meshes
-
-
 MASK = np.ones((5, 6), dtype=bool)
 HOLED = MASK.copy()
 HOLED[2, 2] = False

@@ -142,7 +142,6 @@ class Patched:
         return n_corrections, n_bytes
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("name", "method", "n_patches"),
     [
@@ -171,7 +170,6 @@ def test_patches_move_nothing_beside_them(tmp_path, name, method, n_patches):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("method", "mesh", "n_patches"),
     [
@@ -190,7 +188,6 @@ def test_errors_of_stored_meshes_hold_after_patches(tmp_path, method, mesh, n_pa
         assert report.ok, report
 
 
-@pytest.mark.large
 def test_errors_of_coarse_blocks_do_not_add_up(tmp_path):
     """Each patch added the largest change of a block's samples to what the file says of it."""
     patched = Patched(tmp_path, "hills", mesh="none")
@@ -204,7 +201,6 @@ def test_errors_of_coarse_blocks_do_not_add_up(tmp_path):
         assert stated <= 2 * (heights.max() - heights.min()) + 4
 
 
-@pytest.mark.large
 def test_with_the_original_no_corrections_are_made(tmp_path):
     patched = Patched(tmp_path, "hills")
     new = patched.heights[60:90, 20:50].copy()
@@ -216,7 +212,6 @@ def test_with_the_original_no_corrections_are_made(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("method", some(["rapid", "predictive"], 2))
 def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_path, method):
     patched = Patched(tmp_path, "floats", method=method)
@@ -233,7 +228,6 @@ def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_
     decode(patched.path.read_bytes())
 
 
-@pytest.mark.large
 def test_corrections_go_with_what_they_put_back(tmp_path):
     """A patch of the whole area leaves none but where units meet."""
     patched = Patched(tmp_path, "hills")
@@ -246,7 +240,6 @@ def test_corrections_go_with_what_they_put_back(tmp_path):
     assert patched.sections()[0] < before / 4
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(
     ("name", "method", "n_patches"),
     [

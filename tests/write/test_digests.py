@@ -240,7 +240,6 @@ def test_what_is_no_root_is_refused(tmp_path, root):
         tw.verify(path, root=root)
 
 
-@pytest.mark.large
 def test_a_window_is_checked_by_the_digests_of_its_squares(tmp_path):
     """Three squares of 4096 samples beside each other; heights of the last one are other ones."""
     heights = np.zeros((40, 9000), np.int16)

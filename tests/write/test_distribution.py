@@ -62,7 +62,6 @@ def both(tmp_path, cluster, name, **options):
 
 
 @pytest.mark.few(2)
-@pytest.mark.large
 @pytest.mark.parametrize("name", some(RASTERS, 2))
 def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
     here, there = both(tmp_path, cluster, name)
@@ -70,7 +69,6 @@ def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize(
     "mesh", some(["halves", "none", "zerotree-plain", "zerotree-layer", "rqt"], 2)
 )
@@ -80,7 +78,6 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize("name", ["voids", "strip"])
 def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
     here, there = both(tmp_path, cluster, name, measure_meshes=True)
@@ -88,7 +85,6 @@ def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
 
 
 @pytest.mark.few(2)
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store"])
 def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
     rings = {"border_rings": 3} if METHODS[method].has_rings else {}
@@ -96,7 +92,6 @@ def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
     assert there == here
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("mesh", some(["zerotree", "halves"], 2))
 def test_a_faithful_file_is_that_of_a_local_run(tmp_path, cluster, mesh):
     options = {"method": "cdf97", "faithful": True, "max_error": 3, "mesh": mesh}
@@ -159,7 +154,6 @@ def test_tiles_are_not_shared_out(tmp_path, cluster):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", client=cluster, method="cdf53")
 
 
-@pytest.mark.large
 def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
     heights = terrain_like(300, 40, dtype="float32")
     heights[250, 3] = np.inf
@@ -170,7 +164,6 @@ def test_an_error_of_a_task_is_the_error_of_the_run(tmp_path, cluster):
 
 
 @pytest.mark.full
-@pytest.mark.large
 @pytest.mark.parametrize("more", [{}, {"measure_meshes": True}, {"mesh": "rqt"}])
 def test_a_depot_may_be_a_url(tmp_path, cluster, monkeypatch, more):
     from fsspec.implementations.memory import MemoryFileSystem

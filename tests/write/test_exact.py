@@ -206,7 +206,6 @@ def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
     assert (tmp_path / "one.twz").read_bytes() == (tmp_path / "many.twz").read_bytes()
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 0.01])
 def test_meshes_of_heights_that_floats_round_hold(tmp_path, max_error):
     # Floats this high lie further apart than quanta of a bound this small.

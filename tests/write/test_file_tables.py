@@ -21,7 +21,6 @@ def header_of(path) -> Header:
         return terrain.header
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 4])
 def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_path, max_error):
     heights = rough((420, 390))
@@ -43,7 +42,6 @@ def test_a_small_raster_pays_for_no_tables(tmp_path):
     assert header_of(tmp_path / "a.twz").file_tables == b""
 
 
-@pytest.mark.large
 def test_tables_of_rapid_are_the_same_on_any_number_of_threads(tmp_path):
     heights = rough((420, 390))
     files = [

@@ -65,7 +65,6 @@ def copied_units(before, after):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize(
     "options",
     [
@@ -83,7 +82,6 @@ def test_a_lossless_file_becomes_that_of_the_new_raster(file, options):
 
 
 @pytest.mark.few(1)
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("max_error", [0, 3])
 @pytest.mark.parametrize("new", some([changed(with_voids(HEIGHTS)), with_voids(HEIGHTS)], 2))
@@ -100,7 +98,6 @@ def test_the_result_is_within_the_bound_and_true(file, tmp_path, method, max_err
     assert result.measured_error <= max_error
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(("method", "rings"), [("predictive", 1), ("predictive", 3), ("rapid", 1)])
 def test_the_same_raster_changes_nothing(file, method, rings):
     path = file(with_voids(HEIGHTS), max_error=3, nodata=NODATA, border_rings=rings, method=method)
@@ -130,7 +127,6 @@ def placed(tmp_path):
     return make
 
 
-@pytest.mark.large
 def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
     placed = placed(0)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", 30, 5, 80, 70)
@@ -208,7 +204,6 @@ def write_whole(heights, path):
 MIDDLE = (60, 20, 9, 9)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize(("mesh", "old"), [("none", HEIGHTS), ("halves", with_voids(HEIGHTS))])
 def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
     """It asked for a raster that reaches further, however far that reached."""
@@ -247,7 +242,6 @@ def moved(tmp_path):
 
 
 @pytest.mark.full
-@pytest.mark.large
 def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, tmp_path):
     path, new = moved, HEIGHTS
     for row, col in ((60, 20), (20, 60), (100, 40)):
@@ -275,7 +269,6 @@ def test_what_heights_had_moved_before_stays_until_the_original_is_given(moved, 
     assert "of it from an earlier file" not in CliRunner().invoke(main, ["info", str(path)]).output
 
 
-@pytest.mark.large
 def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path, monkeypatch):
     """What stored heights stand in for is half a step and all earlier moves away from them."""
     measure, added = patcher.measure_meshes, []
@@ -291,7 +284,6 @@ def test_errors_of_meshes_contain_what_heights_had_moved_before(moved, tmp_path,
     assert added == [0, 4]
 
 
-@pytest.mark.large
 def test_with_the_original_the_bound_stays(placed, tmp_path):
     path = placed(2)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
@@ -325,7 +317,6 @@ def test_heights_on_fixed_steps_stay_beyond_the_new_raster(tmp_path, dtype, boun
     assert apart.max() <= bound
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("max_error", [0, 2])
 def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_error):
     """It undid that patch without a word."""
@@ -341,21 +332,24 @@ def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_e
     patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
 
 
-@pytest.mark.parametrize("method", ["predictive", "rapid"])
-def test_a_patch_brings_the_first_voids_to_a_file(file, method):
-    options = {"max_error": 2, "mesh": "none", "nodata": NODATA, "method": method}
-    path = file(HEIGHTS, **options)
+def assert_own_samples_are_those_of(path, new):
+    """Check which samples of all levels are valid, and all that `check` does."""
     with Terrain(path) as terrain:
-        assert not terrain.header.has_voids
-    new = with_voids(HEIGHTS)
-    patch(path, new, nodata=NODATA)
-    with Terrain(path) as terrain:
-        assert terrain.header.has_voids
         for level in range(terrain.n_levels):
             stride = terrain.grid.stride(level)
             _, valid = terrain.read_with_mask(level=level)
             np.testing.assert_array_equal(valid, (new != NODATA)[::stride, ::stride])
         assert list(terrain.check()) == []
+
+
+@pytest.mark.parametrize("method", ["predictive", "rapid"])
+def test_a_patch_brings_the_first_voids_to_a_file(file, method):
+    path = file(HEIGHTS, max_error=2, mesh="none", nodata=NODATA, method=method)
+    for new, has_voids in ((HEIGHTS, False), (with_voids(HEIGHTS), True)):
+        patch(path, new, nodata=NODATA)
+        with Terrain(path) as terrain:
+            assert terrain.header.has_voids == has_voids
+    assert_own_samples_are_those_of(path, new)
 
 
 @pytest.mark.parametrize("with_original", [False, True])
@@ -365,10 +359,7 @@ def test_the_range_that_is_refused_is_that_of_the_new_raster(placed, tmp_path, w
     high[0, 0] = HEIGHTS.max() + 100
     write_geotiff(tmp_path / "new.tif", high, crs="EPSG:32610", transform=(2, 0, 1040, 0, -2, 4880))
     original = tmp_path / "old.tif" if with_original else None
-    with pytest.raises(
-        InvalidHeightsError,
-        match=f"^the new raster has heights from {high.min()} to {high.max()}, the file can hold",
-    ):
+    with pytest.raises(InvalidHeightsError, match=f"from {high.min()} to {high.max()}, the file"):
         patch(placed(2), tmp_path / "new.tif", original=original)
 
 
@@ -397,7 +388,6 @@ def test_an_original_of_another_size_is_refused(placed, tmp_path):
         patch(path, tmp_path / "new.tif", original=tmp_path / "new.tif")
 
 
-@pytest.mark.large
 def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch):
     path = placed(2)
     before = path.read_bytes()
@@ -408,7 +398,6 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     assert path.read_bytes() == before
 
 
-@pytest.mark.large
 def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
     placed = placed(2)
     before = placed.read_bytes()
@@ -417,7 +406,6 @@ def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
     assert placed.read_bytes() == before
 
 
-@pytest.mark.large
 def test_readers_keep_the_old_file(file):
     path = file(HEIGHTS, max_error=0)
     with Terrain(path) as terrain:
@@ -475,10 +463,7 @@ def test_other_methods_are_refused_with_advice(tmp_path, file, method):
     write_geotiff(tmp_path / "new.tif", SMALL)
     result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
     assert result.exit_code == 1
-    assert (
-        "only files of method rapid or predictive can be patched: compress the whole"
-        in result.stderr
-    )
+    assert "only files of method rapid or predictive can be patched" in result.stderr
 
 
 LOWEST, HIGHEST = int(SMALL.min()), int(SMALL.max())
@@ -524,9 +509,7 @@ def test_a_range_without_effect_is_a_note_or_refused(tmp_path):
 
 
 def test_a_range_that_the_type_lacks_is_refused(tmp_path):
-    with pytest.raises(
-        InvalidHeightsError, match=r"from -5 to 1e\+06 .* expected heights of int16"
-    ):
+    with pytest.raises(InvalidHeightsError, match=r"from -5 to 1e\+06 .* int16"):
         terrainwave.compress(SMALL, tmp_path / "a.twz", height_range=(-5, 1e6))
 
 
@@ -594,7 +577,6 @@ def test_heights_between_the_files_steps_are_refused(file):
         patch(path, heights)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("method", ["predictive", "rapid"])
 @pytest.mark.parametrize("has_less", [False, True])
 def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, has_less):
@@ -606,12 +588,7 @@ def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, has_les
         new[40, 72] = HEIGHTS[40, 72]
     path = file(old, **options)
     assert patch(path, new, nodata=NODATA).n_recoded > 0
-    with Terrain(path) as terrain:
-        for level in range(terrain.n_levels):
-            stride = terrain.grid.stride(level)
-            _, valid = terrain.read_with_mask(level=level, voids="exact")
-            np.testing.assert_array_equal(valid, (new != NODATA)[::stride, ::stride])
-        assert list(terrain.check()) == []
+    assert_own_samples_are_those_of(path, new)
     # So small a raster has no tables of its own; a unit whose fills alone would differ is copied.
     if method == "predictive" and has_less:
         assert path.read_bytes() == twz_bytes(new, **options)

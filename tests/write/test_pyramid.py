@@ -78,9 +78,6 @@ SHAPES = [(140, 3), (1, 131), (2, 258), (137, 66)]
 shapes = pytest.mark.parametrize("shape", SHAPES)
 
 
-# Low-pass
-
-
 @shapes
 def test_coarse_levels_are_convolutions_with_mirrored_edges(shape):
     levels = Levels(whole_heights(shape))
@@ -112,12 +109,6 @@ def test_targets_stay_within_the_range_of_the_raster(sign):
     assert np.ptp(levels.heights[1]) == 1000
 
 
-# Nested
-
-
-# Masks
-
-
 @given(st.data(), st.sampled_from([(140, 2), (2, 261), (131, 4), (1, 300)]))
 def test_masks_are_as_the_definition_says(data, shape):
     valid = data.draw(valid_masks(shape) | st.just(np.indices(shape).sum(0) % 37 == 5))
@@ -126,9 +117,6 @@ def test_masks_are_as_the_definition_says(data, shape):
     assert_levels_equal(levels.masks, expected)
     own = [valid[:: 1 << shift, :: 1 << shift] for shift in range(len(levels.own))]
     assert_levels_equal(levels.own, own)
-
-
-# Fills
 
 
 @pytest.mark.parametrize("shape", [(140, 3), (1, 131), (35, 31)])
@@ -171,9 +159,6 @@ def test_one_valid_sample_fills_everything_with_its_height():
     heights[77, 3] = 500
     levels = Levels(heights, heights == 500)
     assert {int(h) for level in levels.heights for h in np.unique(level)} == {0}
-
-
-# Windows
 
 
 @pytest.mark.parametrize("limit", [0, 10**9])
@@ -232,9 +217,6 @@ def test_what_nobody_reads_any_more_is_not_on_the_disk(monkeypatch, tmp_path):
     }
 
 
-# Temporary arrays
-
-
 @pytest.mark.parametrize(("distance", "n_bytes"), [(255, 1), (256, 2), (65535, 2), (65536, 4)])
 def test_tiles_take_as_many_bytes_as_their_range_needs(monkeypatch, tmp_path, distance, n_bytes):
     monkeypatch.setattr(temporary, "MEMORY_LIMIT", 0)
@@ -267,8 +249,6 @@ def test_a_tile_that_is_written_again_holds_what_was_written_last(monkeypatch, t
         np.testing.assert_array_equal(spool.read(spool.region), whole)
     spool.close()
 
-
-# Parts and bases
 
 SPLIT = 2  # the shift at which parts end and the base begins
 
@@ -350,7 +330,6 @@ def split(request, tmp_path):
         yield lambda voids: SplitPyramids(request.param, voids, tmp_path, executor)
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
 def test_a_base_has_the_same_levels_above_it(split, voids):
     pyramids = split(voids)
@@ -368,7 +347,6 @@ def test_a_base_has_the_same_levels_above_it(split, voids):
         np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.fills.read(base))
 
 
-@pytest.mark.large
 @pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
 @pytest.mark.parametrize("region", [PARTS[0], PARTS[4], PARTS[8], Region(37, 61, 40, 33)])
 def test_a_part_has_the_same_levels(split, voids, region):

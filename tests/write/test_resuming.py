@@ -6,6 +6,7 @@ import subprocess
 import sys
 import traceback
 import warnings
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -189,15 +190,10 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
         reads.append(window)
         return read(self, *window)
 
-    def failing(*_):
-        raise StorageError("no proof")
-
     monkeypatch.setattr(TreeEncoder, "_encode_unit", noting)
     monkeypatch.setattr(RasterSource, "read", reading)
-    with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.LocalPasses.prove", failing)
-        with pytest.raises(StorageError, match="no proof"):
-            terrainwave.compress(raster, target, **OPTIONS)
+    at = "terrainwave.write.local.LocalPasses.prove"
+    stopped(monkeypatch, lambda: terrainwave.compress(raster, target, **OPTIONS), at)
     first, first_reads = len(units), len(reads)
     units.clear()
     reads.clear()
@@ -209,13 +205,13 @@ def test_what_is_finished_is_not_done_again(tmp_path, raster, monkeypatch):
 
 @pytest.mark.full
 def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
-    def failing(*_):
-        raise StorageError("the disk is full")
-
     target = tmp_path / "out.twz"
     arguments = ["compress", str(raster), str(target), "--block", "32", "--max-error", "1"]
     with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.LocalPasses.prove", failing)
+        broken.setattr(
+            "terrainwave.write.local.LocalPasses.prove",
+            Mock(side_effect=StorageError("the disk is full")),
+        )
         result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 1
     error, note = result.stderr.splitlines()
@@ -229,15 +225,12 @@ def test_a_failed_run_says_how_to_go_on(tmp_path, raster, monkeypatch):
 
 def interrupted(target, source, monkeypatch, **options):
     """Leave the work of a run that was stopped before its proof."""
-
-    def stopping(*_):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as broken:
-        broken.setattr("terrainwave.write.local.LocalPasses.prove", stopping)
-        with pytest.raises(KeyboardInterrupt) as caught:
-            terrainwave.compress(source, target, **OPTIONS | options)
-    return caught.value
+    return stopped(
+        monkeypatch,
+        lambda: terrainwave.compress(source, target, **OPTIONS | options),
+        "terrainwave.write.local.LocalPasses.prove",
+        KeyboardInterrupt,
+    )
 
 
 def test_ctrl_c_keeps_what_is_finished(tmp_path, raster, monkeypatch):
@@ -386,16 +379,13 @@ def test_a_second_writer_of_the_same_target_is_refused_in_one_line(tmp_path, ras
     assert hidden_in(tmp_path) == []
 
 
-def stopped(monkeypatch, work, at="terrainwave.write.local.LocalPasses.encode"):
-    """Run `work` to a failure after the scan, which leaves what is finished."""
-
-    def failing(*_):
-        raise StorageError("no more")
-
+def stopped(monkeypatch, work, at="terrainwave.write.local.LocalPasses.encode", error=StorageError):
+    """Run `work` to a failure after the scan, which leaves what is finished; return the error."""
     with monkeypatch.context() as broken:
-        broken.setattr(at, failing)
-        with pytest.raises(StorageError, match="no more"):
+        broken.setattr(at, Mock(side_effect=error("no more")))
+        with pytest.raises(error) as caught:
             work()
+    return caught.value
 
 
 @pytest.mark.full

@@ -1,12 +1,8 @@
 """Does the native library leave nothing to numba where the default method encodes and reads?"""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
-from golden_files import GOLDEN
+from commands import environment, python_with
 
 import terrainwave
 from terrainwave.coding import native_library
@@ -36,15 +32,8 @@ for _ in range(2):
 
 @pytest.mark.parametrize("dtype", ["int16", "float32"])
 def test_compress_read_and_verify_import_no_numba(dtype, library, tmp_path, monkeypatch):
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(GOLDEN.parents[1] / "src"),
-        native_library.SWITCH: "1",
-    }
-    subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", PROGRAM, str(tmp_path), dtype],
-        env=environment, check=True,
-    )  # fmt: skip
+    by_c = environment(**{native_library.SWITCH: "1"})
+    python_with(["-W", "ignore", "-c", PROGRAM, tmp_path, dtype], env=by_c, check=True)
     # Numba's kernels decode what the library has encoded and proved.
     monkeypatch.setenv(native_library.SWITCH, "0")
     with terrainwave.open(tmp_path / "made.twz") as terrain:
