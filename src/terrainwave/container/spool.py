@@ -15,6 +15,7 @@ from terrainwave.grid.quadtree import Block
 
 _BUFFER = 64 * 1024  # while payloads arrive
 _KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
+_CHUNK = 16 << 20  # bytes to copy at a time
 
 
 @contextmanager
@@ -97,7 +98,7 @@ class LikeSegment(NamedTuple):
 
 
 class StoredSegment(NamedTuple):
-    """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
+    """Position of a stored segment without children; an absent one has length 0."""
 
     path: str
     offset: int
@@ -112,14 +113,10 @@ class StoredSegment(NamedTuple):
         return self._read(self.page_length, self.length)
 
     def _read(self, first: int, end: int) -> Iterator[bytes]:
-        from terrainwave.container.sources.shared import CHUNK, SharedSource  # seldom needed
-
-        entry = SharedSource(self.path)
-        try:
-            for start in range(first, end, CHUNK):
-                yield entry.read(self.offset + start, min(CHUNK, end - start))
-        finally:
-            entry.close()
+        with storage_errors(f"cannot read {self.path}"), open(self.path, "rb") as file:
+            file.seek(self.offset + first)
+            for start in range(first, end, _CHUNK):
+                yield file.read(min(_CHUNK, end - start))
 
 
 class SegmentSpool:

@@ -14,7 +14,7 @@ from terrainwave.container.spool import (
     StoredSegment,
     storage_errors,
 )
-from terrainwave.container.writer import write_segments
+from terrainwave.container.writer import write_segment
 from terrainwave.grid.quadtree import Block, Grid
 
 
@@ -84,8 +84,7 @@ class SpoolSink:
             # Not "ab": after a failed write, the next one begins after the good bytes.
             with open(self._finished, "r+b" if self._end else "wb") as file:
                 file.seek(self._end)
-                places = write_segments(file, self._finished, self._grid, [head], self.spools)
-            stored = places[head]
+                stored = write_segment(file, self._finished, self._grid, head, spool)
             self._end += stored.length
         self.spools[head] = stored
         spool.close()

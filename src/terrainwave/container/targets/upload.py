@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,8 @@ class _Target:
 
     def put(self, path: Path) -> None:
         """Upload a file: all of it appears, or nothing."""
-        self._call(put_whole, self._fs, os.fspath(path), self.path)
+        put = partial(self._fs.put_file, os.fspath(path))
+        self._call(put_whole, self._fs, put, self.path)
         self._fs.invalidate_cache()
         _log.info("uploaded %s", self.name)
         found, expected = self._call(self._fs.size, self.path), path.stat().st_size
@@ -117,18 +119,18 @@ class _Target:
             raise StorageError(f"cannot write {self.name}: {reason}") from error
 
 
-def put_whole(filesystem: Any, path: str, target: str) -> None:
-    """Copy a local file into one of fsspec's file systems: all of it appears, or nothing.
+def put_whole(filesystem: Any, put: Callable[[str], None], target: str) -> None:
+    """Write a file of one of fsspec's file systems: all of it appears, or nothing.
 
-    Raises any error of the file system.
+    `put` writes it under a name. Raises any error of the file system.
     """
     protocols = filesystem.protocol
     if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
-        filesystem.put_file(path, target)
+        put(target)
         return
     unfinished = f"{target}.{secrets.token_hex(8)}.twz-part"
     try:
-        filesystem.put_file(path, unfinished)
+        put(unfinished)
         filesystem.mv(unfinished, target)
     except BaseException:
         with suppress(Exception):  # it may not exist
