@@ -174,22 +174,11 @@ def append_digests(
         out_file.flush()
 
 
-def write_segment(
-    file: BinaryIO, path: str, grid: Grid, head: Block, spool: SegmentSpool
-) -> StoredSegment:
-    """Write a segment without child segments to a file, from its position.
-
-    The file will be at `path`.
-    """
-    segments: Segments = {head: spool}
-    start = file.tell()
-    part = _Preparation(grid, segments, defaultdict(lambda: _ABSENT))(head)
-    length = part.page_length + part.sections_length
-    if length:
-        file.write(_page_bytes(head, segments, part, 0))
-        for chunk in _sections(grid, head, segments):
-            file.write(chunk)
-    return StoredSegment(path, start, part.page_length, length)
+def stored_segment(grid: Grid, head: Block, spool: SegmentSpool) -> StoredSegment:
+    """Return a complete segment without child segments in a form that takes little memory."""
+    part = _Preparation(grid, {head: spool}, defaultdict(lambda: _ABSENT))(head)
+    page = pack_page(part.columns, 0) if part.length else b""
+    return spool.stored(page, page_layout(grid, head).keys_in_file)
 
 
 def _is_void(head: Block, segments: Segments) -> bool:
@@ -248,8 +237,7 @@ class _Preparation:
         if segment is None:
             return _ABSENT
         if isinstance(segment, StoredSegment):
-            n_bytes = segment.length - segment.page_length
-            return _Extent(b"", segment.page_length, n_bytes, n_bytes)
+            return _Extent(b"", segment.page_length, segment.n_bytes, segment.n_bytes)
         children = tuple(self._parts[child] for child in _children(self._grid, head))
         if there == head:
             return self._made(there, segment, children)

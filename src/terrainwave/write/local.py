@@ -12,7 +12,7 @@ import numpy as np
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.digests import TileDigests
-from terrainwave.container.spool import LikeSegment, SegmentSpool, StoredSegment
+from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Block
@@ -37,25 +37,24 @@ Walked = tuple[Stats, bytes, Callable[[Job, Codes], dict[Block, int]]]
 
 @dataclass
 class Coded:
-    """Coded raster: tables, segments, bytes of payloads and tables.
+    """Coded raster: its tables and segments.
 
     `job` is the coded job; that of an embedded file includes its measured error.
     """
 
     file_tables: bytes
-    segments: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
-    n_bytes: int
+    sink: SpoolSink
     job: Job
 
-    def close(self) -> None:
-        for segment in self.segments.values():
-            if isinstance(segment, SegmentSpool):
-                segment.close()
+    @property
+    def n_bytes(self) -> int:
+        """Return the size of payloads and tables."""
+        return self.sink.n_bytes + len(self.file_tables)
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
     kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
-    dropped.close()
+    dropped.sink.close()
     return kept
 
 
@@ -100,7 +99,7 @@ class LocalPasses:
             codes = Codes(job, stats, below)
             mesh_errors = mesh_errors_of(job, codes) if job.options.measures_meshes else None
         codes.set(sink.present(), mesh_errors)
-        return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
+        return Coded(file_tables, sink, job)
 
     @contextmanager
     def _walked(self, job: Job, sink: SpoolSink, on_segment: OnSegment | None) -> Iterator[Walked]:

@@ -23,7 +23,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Protocol, Self, TypeVar
 
-from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors, write_all
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.targets.unfinished import own_path
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
@@ -253,7 +253,7 @@ class Kept:
         head = _HEAD.pack(_MAGIC, len(text), len(data), zlib.crc32(data, zlib.crc32(text)))
         try:
             self._file.seek(self._end)
-            _write_all(self._file, head + text + data)
+            write_all(self._file, head + text + data)
         except OSError as error:
             raise cannot_write(self._file.name, error, advice=TEMPORARY_ADVICE) from error
         offset = self._end + len(head) + len(text)
@@ -293,13 +293,6 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
             return
         content = json.loads(text)
         yield _Record(content["name"], content["values"], offset, n_data)
-
-
-def _write_all(file: BinaryIO, data: bytes) -> None:
-    """Write all of `data` to an unbuffered file, which may accept less at a time."""
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
 
 
 def _boot() -> str:
