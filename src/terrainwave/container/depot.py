@@ -19,12 +19,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import in_one_line
-from terrainwave.container.sources.addresses import display_name, without_secrets
+from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.upload import put_whole
-from terrainwave.errors import CorruptStreamError, StorageError, TerrainwaveError
+from terrainwave.container.targets.upload import filesystem_errors, put_whole
+from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.extras import need
 
 _log = logging.getLogger(__name__)
@@ -65,12 +64,8 @@ class Depot:
             return
 
         def put() -> None:
-            try:
+            with filesystem_errors(f"cannot write {where}"):
                 put_whole(filesystem, lambda path: filesystem.pipe_file(path, data), target)
-            except Exception as error:  # of the file system's own libraries
-                raise StorageError(
-                    f"cannot write {where}: {without_secrets(in_one_line(error))}"
-                ) from error
 
         _repeated(f"writing {where}", put)
 
@@ -126,8 +121,7 @@ class Depot:
         StorageError
             If something cannot be deleted.
         """
-        where = display_name(self.root)
-        try:
+        with filesystem_errors(f"cannot remove temporary data in {display_name(self.root)}"):
             filesystem, path = _filesystem(self.root)
             if "file" not in filesystem.protocol:
                 known = [f"{path}/{name}" for name in dict.fromkeys(names)]
@@ -137,11 +131,6 @@ class Depot:
             with suppress(FileNotFoundError):
                 if filesystem.exists(path):
                     filesystem.rm(path, recursive=True)
-        except TerrainwaveError:
-            raise
-        except Exception as error:  # of the file system's own libraries
-            reason = without_secrets(in_one_line(error))
-            raise StorageError(f"cannot remove temporary data in {where}: {reason}") from error
 
 
 def _put_in_place(target: str, data: bytes, where: str) -> None:
@@ -181,8 +170,6 @@ def _delete(filesystem: Any, paths: list[str]) -> None:
 def _filesystem(root: str) -> tuple[Any, str]:
     """Return fsspec's file system for a path or URL, and the path in it."""
     fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
-    try:
+    with filesystem_errors(f"cannot use {display_name(root)}"):
         filesystem, path = fsspec.url_to_fs(root)
-    except (ImportError, ValueError) as error:
-        raise StorageError(f"cannot use {display_name(root)}: {in_one_line(error)}") from error
     return filesystem, path
