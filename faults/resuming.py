@@ -222,7 +222,7 @@ class Trial:
             run = first_values(file.read(1 << 20))
         kept = Kept(copy, run)
         name = "patch" if self.command == "patch" else "rapid"
-        found = {"scanning": (kept.get("scan") or {}).get("n_windows", 0) / self.n_windows}
+        found = {"scanning": (kept.get("scan") or {}).get("done", 0) / self.n_windows}
         shifts = range(1, self.grid.k_max + 1)
         tiles = {
             shift: -(-(self.grid.n_rows >> shift) // TILE) * -(-(self.grid.n_cols >> shift) // TILE)

@@ -22,7 +22,7 @@ from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.byte_source import BufferSource
 from terrainwave.container.sources.ranges import ByteRange
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.grid.quadtree import Block
 
@@ -194,7 +194,7 @@ def test_eight_threads_read_what_one_reads():
 def silent_spools(grid, directory, loud=()):
     spools = {}
     for head in grid.segment_heads():
-        spools[head] = SegmentSpool(directory)
+        spools[head] = SegmentSpool(SectionFile(directory))
         layout = page_layout(grid, head)
         for key in layout.keys:
             n_blocks = 1 if key.level < 0 else len(grid.children(key))
@@ -242,11 +242,11 @@ def test_a_missing_segment_is_refused(tmp_path):
 def test_a_missing_payload_is_refused(tmp_path):
     header = toy_header()
     with pytest.raises(ValueError, match="no payload or no codes"):
-        assembled(header, {None: SegmentSpool(tmp_path)})
+        assembled(header, {None: SegmentSpool(SectionFile(tmp_path))})
 
 
 def test_missing_codes_are_refused(tmp_path):
-    spool = SegmentSpool(tmp_path)
+    spool = SegmentSpool(SectionFile(tmp_path))
     spool.add(Block(-1, 0, 0), b"x")
     with pytest.raises(ValueError, match="no payload or no codes"):
         assembled(toy_header(), {None: spool})

@@ -2,7 +2,6 @@
 
 import os
 from collections import Counter
-from pathlib import Path
 from typing import ClassVar
 
 import fsspec
@@ -12,7 +11,6 @@ from fsspec import AbstractFileSystem
 from fsspec.registry import _registry
 
 from terrainwave.container.depot import Depot
-from terrainwave.container.spool import StoredSegment
 from terrainwave.errors import CorruptStreamError, StorageError
 
 
@@ -35,10 +33,9 @@ class Store(AbstractFileSystem):
             self.fails[request] -= 1
             raise ConnectionError("the connection was cut in the middle")
 
-    def put_file(self, lpath, rpath, **_):
-        data = Path(lpath).read_bytes()
+    def pipe_file(self, path, value, **_):
         self._may_fail("put")
-        self.objects[rpath], self.unseen[rpath] = data, self.late
+        self.objects[path], self.unseen[path] = value, self.late
 
     def info(self, path, **_):
         if path not in self.objects:
@@ -63,7 +60,7 @@ class Store(AbstractFileSystem):
 
 @pytest.fixture
 def store(monkeypatch):
-    monkeypatch.setattr("terrainwave.container.sources.shared._DELAYS", (0.0, 0.0, 0.0))
+    monkeypatch.setattr("terrainwave.container.depot._DELAYS", (0.0, 0.0, 0.0))
     monkeypatch.setattr("terrainwave.container.sources.url._DELAYS", ())
     monkeypatch.setattr(Store, "late", 0)
     for state in (Store.objects, Store.unseen, Store.fails):
@@ -74,8 +71,8 @@ def store(monkeypatch):
 
 
 @pytest.fixture
-def depot(store, tmp_path):
-    return Depot("s3://bucket/scratch", str(tmp_path))
+def depot(store):
+    return Depot("s3://bucket/scratch")
 
 
 HEIGHTS = np.arange(12).reshape(3, 4)
@@ -107,13 +104,6 @@ def test_an_entry_that_is_not_there_is_one_line(depot):
         depot.load("a")
 
 
-def test_what_fails_while_it_is_made_is_not_put(depot, store, tmp_path):
-    with pytest.raises(ZeroDivisionError), depot.create("a") as file:
-        file.write(bytes(1 // 0))
-    assert not store.objects
-    assert not os.listdir(tmp_path)
-
-
 def test_all_names_are_removed_though_a_list_shows_nothing(depot, store):
     names = [f"entry-{number}" for number in range(5)]
     for name in names:
@@ -131,18 +121,20 @@ def test_a_damaged_entry_is_one_line(depot, store):
         depot.load("a")
 
 
-def test_segments_are_read_again_where_a_request_fails(depot, store):
-    with depot.create("a") as file:
-        file.write(b"page and payload")
+def test_a_part_of_an_entry_is_read_again_where_a_request_fails(depot, store):
+    depot.put("a", b"page and payload")
     store.fails["get"] = 2
-    segment = StoredSegment(depot.path("a"), 0, 4, 16)
-    assert (segment.page(), list(segment.sections())) == (b"page", [b" and payload"])
+    assert depot.part("a", 4, 4) == b" and"
+    assert depot.part("a", 4, 0) == b""
 
 
-def test_an_unfinished_entry_of_a_directory_is_removed(tmp_path):
-    depot = Depot(str(tmp_path))
-    with pytest.raises(ZeroDivisionError), depot.create("a") as file:
-        file.write(bytes(1 // 0))
+def test_an_unfinished_entry_of_a_directory_is_removed(tmp_path, monkeypatch):
+    def fail(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(StorageError, match=r"a: the disk is full; free space there, or name"):
+        Depot(str(tmp_path)).put("a", b"data")
     assert not os.listdir(tmp_path)
 
 

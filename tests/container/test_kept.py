@@ -114,20 +114,24 @@ def test_windows_that_are_done_are_left_out(opened, tmp_path, monkeypatch):
     monkeypatch.setattr(kept_module, "TICK", 0.0)
     kept = opened()
     array = Spool((4, 4), np.int32, tmp_path, path=kept.path("heights"))
-    items = kept.each("level", [array], range(5))
+    items = kept.each("level", range(5), iter, is_there=array.was_there)
     array.write(Region(0, 0, 4, 4), np.full((4, 4), 7))
     assert [next(items), next(items), next(items)] == [0, 1, 2]  # 2 is not done
     kept.close()
     again = opened()
     same = Spool((4, 4), np.int32, tmp_path, path=again.path("heights"))
+    assert same.was_there
     assert (same.read(Region(0, 0, 4, 4)) == 7).all()
-    assert list(again.each("level", [same], range(5))) == [2, 3, 4]
-    assert list(again.each("level", [same], range(5))) == []
+    assert list(again.each("level", range(5), iter, is_there=True)) == [2, 3, 4]
+    assert list(again.each("level", range(5), iter, is_there=True)) == []
     array.close()
     same.close()
     monkeypatch.setattr(temporary, "MEMORY_LIMIT", 1 << 20)
     in_memory = Spool((4, 4), np.int32, tmp_path, path=again.path("heights"))
-    assert list(again.each("level", [in_memory], range(5))) == [0, 1, 2, 3, 4]
+    items = again.each("level", range(5), iter, is_there=in_memory.was_there)
+    assert next(items) == 0
+    assert not again.is_whole("level")  # a run that is killed here leaves nothing to go on with
+    assert list(items) == [1, 2, 3, 4]
 
 
 def test_tiles_of_one_value_take_no_room_and_are_kept(opened, tmp_path, monkeypatch):

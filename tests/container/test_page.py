@@ -15,7 +15,6 @@ from terrainwave.container.page import (
     page_length,
     payload_starts,
     unpack_page,
-    with_first_child,
 )
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Block, Grid
@@ -215,23 +214,6 @@ def test_every_prefix_of_a_page_is_corrupt():
     for length in range(len(data)):
         with pytest.raises(CorruptStreamError):
             unpack_page(data[:length], BELOW, "the page")
-
-
-def test_a_stored_page_that_is_damaged_is_not_given_to_another_place():
-    data = packed(filled_page(TOP))
-    moved = unpack_page(with_first_child(data, 12_345), TOP, "the page")
-    assert moved.first_child == 12_345
-    for byte_pos in range(len(data)):
-        damaged = bytearray(data)
-        damaged[byte_pos] ^= 0x20
-        with pytest.raises(CorruptStreamError, match="stored page"):
-            with_first_child(bytes(damaged), 12_345)
-    for length in range(len(data)):
-        with pytest.raises(CorruptStreamError, match="stored page"):
-            with_first_child(data[:length], 12_345)
-    # Too short for a page, under a right checksum.
-    with pytest.raises(CorruptStreamError, match="stored page"):
-        with_first_child(pack_page(b"", 7), 12_345)
 
 
 def test_the_longest_payloads_and_meshes_are_legal_and_add_up():

@@ -1,14 +1,13 @@
 """Temporary stores of segments: any order, little memory, no files left."""
 
 import errno
-import pickle
 import threading
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
 
@@ -22,33 +21,38 @@ def payload(number):
 
 
 def filled(directory, numbers=range(60)):
-    spool = SegmentSpool(directory)
+    spool = SegmentSpool(SectionFile(directory))
     for number in numbers:
         spool.add(key(number), payload(number), 0, b"", payload(number)[:5])
     return spool
 
 
-@pytest.mark.parametrize("finish", [True, False])
-def test_payloads_come_back_in_the_order_asked(tmp_path, finish):
+def test_payloads_come_back_in_the_order_asked(tmp_path):
     spool = filled(tmp_path, range(59, -1, -1))
-    if finish:
-        spool.finish()
     wanted = [key(n) for n in range(60)]
     expected = b"".join(payload(n) + payload(n)[:5] for n in range(60))
     assert b"".join(spool.chunks(wanted)) == expected
-    spool.close()
 
 
-def test_a_small_segment_makes_no_file(tmp_path):
-    spool = SegmentSpool(tmp_path)
+@pytest.mark.parametrize("limit", [0, 1 << 20])
+def test_a_stored_segment_has_its_page_and_sections_in_order(tmp_path, monkeypatch, limit):
+    monkeypatch.setattr("terrainwave.container.spool._BUFFER", limit)
+    stored = filled(tmp_path).stored(b"page", [key(n) for n in range(59, -1, -1)])
+    assert stored.page() == b"page"
+    expected = b"".join(payload(n) + payload(n)[:5] for n in range(59, -1, -1))
+    assert b"".join(stored.sections()) == expected
+    assert stored.n_bytes == len(expected)
+
+
+def test_few_payloads_make_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.spool.tempfile.TemporaryFile", None)
+    spool = SegmentSpool(SectionFile(tmp_path))
     spool.add(key(0), b"abc")
-    spool.finish()
-    assert list(tmp_path.iterdir()) == []
     assert b"".join(spool.chunks([key(0)])) == b"abc"
 
 
 def test_threads_may_add_at_the_same_time(tmp_path):
-    spool = SegmentSpool(tmp_path)
+    spool = SegmentSpool(SectionFile(tmp_path))
 
     def work(first):
         for number in range(first, 80, 8):
@@ -61,7 +65,6 @@ def test_threads_may_add_at_the_same_time(tmp_path):
         thread.join()
     expected = b"".join(payload(n) for n in range(80))
     assert b"".join(spool.chunks([key(n) for n in range(80)])) == expected
-    spool.close()
 
 
 @pytest.mark.parametrize(
@@ -76,14 +79,14 @@ def test_threads_may_add_at_the_same_time(tmp_path):
     ],
 )
 def test_mistakes_of_the_caller_are_value_errors(tmp_path, arguments, message):
-    spool = SegmentSpool(tmp_path)
+    spool = SegmentSpool(SectionFile(tmp_path))
     spool.add(key(1), b"")
     with pytest.raises(ValueError, match=message):
         spool.add(*arguments)
 
 
 def test_codes_may_come_later_and_again(tmp_path):
-    spool = SegmentSpool(tmp_path)
+    spool = SegmentSpool(SectionFile(tmp_path))
     spool.add(key(1), b"")
     with pytest.raises(KeyError):
         spool.codes(key(1))
@@ -92,43 +95,35 @@ def test_codes_may_come_later_and_again(tmp_path):
     assert spool.codes(key(1)) == bytes(range(16))
 
 
-def test_a_temporary_file_that_was_damaged_is_noticed(tmp_path):
-    spool = filled(tmp_path)
-    spool.finish()
-    (path,) = tmp_path.iterdir()
-    data = bytearray(path.read_bytes())
-    data[5000] ^= 1
-    path.write_bytes(data)
+def test_a_temporary_file_that_was_damaged_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
+    file = SectionFile(tmp_path)
+    spool = SegmentSpool(file)
+    spool.add(key(1), b"0123456789")
+    file._file.seek(5)
+    file._file.write(b"x")
     with pytest.raises(StorageError, match="is damaged"):
-        list(spool.chunks([key(n) for n in range(60)]))
-    path.unlink()
-    with pytest.raises(StorageError, match="cannot read the temporary file"):
         list(spool.chunks([key(1)]))
 
 
 def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "terrainwave.container.spool.tempfile.mkstemp",
+        "terrainwave.container.spool.tempfile.TemporaryFile",
         Mock(side_effect=OSError(errno.ENOSPC, "no space")),
     )
+    monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
     with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; free space"):
         filled(tmp_path)
 
 
 def test_after_a_failed_write_the_payloads_are_still_there(tmp_path, monkeypatch):
     spool = filled(tmp_path, range(8))
-    monkeypatch.setattr(spool, "_directory", str(tmp_path / "missing"))
-    with pytest.raises(StorageError):
-        spool.finish()
-    monkeypatch.setattr(spool, "_directory", str(tmp_path))
-    spool.finish()
-    assert list(spool.chunks([key(7)])) == [payload(7), payload(7)[:5]]
-    spool.close()
-
-
-def test_a_pickled_spool_reads_the_same_file(tmp_path):
-    spool = filled(tmp_path)
-    copy = pickle.loads(pickle.dumps(spool))
-    keys = [key(n) for n in range(60)]
-    assert list(copy.chunks(keys)) == list(spool.chunks(keys))
-    spool.close()
+    with monkeypatch.context() as failing:
+        failing.setattr("terrainwave.container.spool.write_all", no_space)
+        failing.setattr("terrainwave.container.spool._BUFFER", 0)
+        with pytest.raises(StorageError):
+            spool.add(key(8), payload(8))
+    spool.add(key(9), bytes(2 << 20))
+    assert list(spool.chunks([key(7), key(9)])) == [
+        payload(7), payload(7)[:5], bytes(2 << 20), b""
+    ]  # fmt: skip

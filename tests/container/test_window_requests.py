@@ -9,7 +9,7 @@ from container.toys import paths_to_corner, toy_codes, toy_header
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.byte_source import BufferSource
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.container.writer import assemble
 
 # Mean bytes of payloads of levels -1 ... 5 of benchmarks/remote.py's file, rounded.
@@ -35,7 +35,7 @@ def file_of(header, folder, lengths):
     rng = np.random.default_rng(7)
     grid, spools = header.grid, {}
     for head in grid.segment_heads():
-        spools[head] = SegmentSpool(folder)
+        spools[head] = SegmentSpool(SectionFile(folder))
         for key in page_layout(grid, head).keys:
             codes = bytes(code for block in grid.key_blocks(key) for code in toy_codes(block))
             length = int(lengths[key.level + 1] * rng.uniform(0.9, 1.1))

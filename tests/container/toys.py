@@ -16,7 +16,7 @@ from terrainwave.container.page import (
     page_layout,
     page_length,
 )
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.grid.quadtree import Block, Grid
 
@@ -67,11 +67,10 @@ def toy_codes(block: Block) -> tuple[int, int, int, int]:
 def toy_spools(grid: Grid, directory, order=lambda keys: keys) -> dict:
     spools = {}
     for head in grid.segment_heads():
-        spools[head] = SegmentSpool(directory)
+        spools[head] = SegmentSpool(SectionFile(directory))
         for key in order(page_layout(grid, head).keys):
             codes = bytes(code for b in grid.key_blocks(key) for code in toy_codes(b))
             spools[head].add(key, toy_payload(key), toy_flags(key), codes, toy_mesh(key))
-        spools[head].finish()
     return spools
 
 

@@ -183,13 +183,6 @@ def pack_page(columns: bytes, first_child: int) -> bytes:
     return zlib.crc32(body).to_bytes(4, "little") + body
 
 
-def with_first_child(data: bytes, first_child: int) -> bytes:
-    """Return the bytes of a page with another `first_child`."""
-    if len(data) < _MIN_PAGE or _PREFIX.unpack_from(data)[0] != zlib.crc32(data[4:]):
-        raise CorruptStreamError("checksum of a stored page does not match")
-    return pack_page(data[_PREFIX.size :], first_child)
-
-
 def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
 

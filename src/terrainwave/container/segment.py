@@ -54,14 +54,9 @@ class Segment:
         return ByteRange(self.child_starts[row], self.page.child_body_lengths[row])
 
 
-def segment_of_page(
-    head: Block | None, layout: PageLayout, page: Page, body_start: int, *, has_pages: bool = True
-) -> Segment:
-    """Return the segment of a page whose body begins at `body_start`.
-
-    With `has_pages`, the body begins with the pages of its children, before payloads and meshes.
-    """
-    pages = page.child_page_lengths.tolist() if has_pages else [0] * len(layout.children)
+def segment_of_page(head: Block | None, layout: PageLayout, page: Page, body_start: int) -> Segment:
+    """Return the segment of a page whose body begins at `body_start`."""
+    pages = page.child_page_lengths.tolist()
     sections_start = body_start + sum(pages)
     return Segment(
         head=head,

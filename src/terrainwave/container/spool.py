@@ -1,7 +1,8 @@
-"""Temporary store of one segment's payloads until their order in the file is known."""
+"""Temporary store of payloads until their order in the file is known."""
 
 import errno
 import os
+import struct
 import tempfile
 import threading
 import zlib
@@ -13,8 +14,8 @@ from terrainwave.container.page import MAX_PAYLOAD, N_CODES
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.grid.quadtree import Block
 
-_BUFFER = 64 * 1024  # while payloads arrive
-_KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
+_BUFFER = 1 << 20
+_PLACE = struct.Struct("<QQ")  # of a section: offset and length
 
 
 @contextmanager
@@ -96,52 +97,97 @@ class LikeSegment(NamedTuple):
         return Block(key.level, key.row + row, key.col + col)
 
 
-class StoredSegment(NamedTuple):
-    """Position of a stored segment; of an absent one (FORMAT.md §3.4) only the path is set."""
+class SectionFile:
+    """Temporary file of payloads and meshes in any order; thread-safe.
 
-    path: str
-    offset: int
-    page_length: int
-    length: int
-
-    def page(self) -> bytes:
-        return b"".join(self._read(0, self.page_length))
-
-    def sections(self) -> Iterator[bytes]:
-        """Yield payloads and meshes, at most 16 MiB in memory at a time."""
-        return self._read(self.page_length, self.length)
-
-    def _read(self, first: int, end: int) -> Iterator[bytes]:
-        from terrainwave.container.sources.shared import CHUNK, SharedSource  # seldom needed
-
-        entry = SharedSource(self.path)
-        try:
-            for start in range(first, end, CHUNK):
-                yield entry.read(self.offset + start, min(CHUNK, end - start))
-        finally:
-            entry.close()
-
-
-class SegmentSpool:
-    """Stores the payloads of one segment in any order; `assemble` writes them in page order.
-
-    Payloads stay in memory up to 64 KiB (4 KiB after `finish`), the rest goes to a temporary file
-    in `directory`. No file stays open between calls, so thousands of spools can wait, and a spool
-    can be pickled to a process that sees the same directory. Thread-safe. Errors of a full disk end
-    with `advice`.
+    They stay in memory up to 1 MiB, the rest goes to a file without a name in `directory`. Errors
+    of a full disk end with `advice`.
     """
 
     def __init__(
         self, directory: str | os.PathLike[str], *, advice: str = TEMPORARY_ADVICE
     ) -> None:
-        self._directory = os.fspath(directory)
-        self._advice = advice
-        self._path: str | None = None
-        self._spilled = 0
+        self._directory, self._advice = os.fspath(directory), advice
+        self._file: BinaryIO | None = None
+        self._n_written = 0
         self._buffer = bytearray()
+        self._lock = threading.Lock()
+
+    def append(self, data: bytes) -> int:
+        """Store bytes; return their offset."""
+        with self._lock:
+            offset = self._n_written + len(self._buffer)
+            self._buffer += data
+            if len(self._buffer) > _BUFFER:
+                self._write()
+        return offset
+
+    def read(self, offset: int, length: int) -> bytes:
+        with self._lock:
+            if self._file is None or offset >= self._n_written:
+                first = offset - self._n_written
+                return bytes(self._buffer[first : first + length])
+            with storage_errors(f"cannot read temporary files in {self._directory}"):
+                self._file.seek(offset)
+                return self._file.read(length)
+
+    def close(self) -> None:
+        """Delete everything."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+            self._file, self._buffer = None, bytearray()
+
+    __del__ = close  # after an exception
+
+    def _write(self) -> None:
+        action = f"cannot write temporary files in {self._directory}"
+        with storage_errors(action, advice=self._advice):
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(buffering=0, dir=self._directory)
+            # After a failed write, the next one begins after the good bytes.
+            self._file.seek(self._n_written)
+            write_all(self._file, self._buffer)
+        self._n_written += len(self._buffer)
+        self._buffer = bytearray()
+
+
+def write_all(file: BinaryIO, data: bytes | bytearray) -> None:
+    """Write all of `data` to an unbuffered file, which may accept less at a time."""
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) :]
+
+
+class StoredSegment(NamedTuple):
+    """A segment without children whose page and places of sections are in a file.
+
+    `n_bytes` are those of its sections. Of an absent one all lengths are 0.
+    """
+
+    file: SectionFile
+    offset: int
+    page_length: int
+    n_sections: int
+    n_bytes: int
+
+    def page(self) -> bytes:
+        return self.file.read(self.offset, self.page_length)
+
+    def sections(self) -> Iterator[bytes]:
+        """Yield payloads and meshes."""
+        places = self.file.read(self.offset + self.page_length, _PLACE.size * self.n_sections)
+        for place in _PLACE.iter_unpack(places):
+            yield self.file.read(*place)
+
+
+class SegmentSpool:
+    """Stores the payloads of one segment in any order; `assemble` writes them in page order."""
+
+    def __init__(self, file: SectionFile) -> None:
+        self._file = file
         self._entries: dict[Block, Entry] = {}
         self._codes: dict[Block, bytes] = {}
-        self._lock = threading.Lock()
 
     def add(
         self,
@@ -156,27 +202,16 @@ class SegmentSpool:
         `codes` are four bytes for each block of the payload, in Morton order; they may be set later
         by `set_codes`.
         """
-        if max(len(payload), len(mesh)) > MAX_PAYLOAD:
-            raise ValueError(f"payload of {len(payload)} and mesh of {len(mesh)} bytes: too long")
+        if len(payload) > MAX_PAYLOAD:
+            raise ValueError(f"payload of {len(payload)} bytes: too long")
         if not 0 <= flags <= 255:
             raise ValueError(f"flags {flags} do not fit a byte")
-        with self._lock:
-            if key in self._entries:
-                raise ValueError(f"{key} has already been added")
-            offset = self._spilled + len(self._buffer)
-            self._buffer += payload
-            self._buffer += mesh
-            self._entries[key] = Entry(
-                offset,
-                len(payload),
-                zlib.crc32(payload),
-                offset + len(payload),
-                len(mesh),
-                zlib.crc32(mesh),
-                flags,
-            )
-            if len(self._buffer) > _BUFFER:
-                self._spill()
+        if key in self._entries:
+            raise ValueError(f"{key} has already been added")
+        offset = self._file.append(payload)
+        self._entries[key] = Entry(offset, len(payload), zlib.crc32(payload), 0, 0, 0, flags)
+        if mesh:
+            self.set_mesh(key, mesh)
         if codes is not None:
             self.set_codes(key, codes)
 
@@ -184,15 +219,9 @@ class SegmentSpool:
         """Set or replace the mesh of an added key."""
         if len(mesh) > MAX_PAYLOAD:
             raise ValueError(f"mesh of {len(mesh)} bytes: too long")
-        with self._lock:
-            self._entries[key] = self._entries[key]._replace(
-                mesh_offset=self._spilled + len(self._buffer),
-                mesh_length=len(mesh),
-                mesh_crc=zlib.crc32(mesh),
-            )
-            self._buffer += mesh
-            if len(self._buffer) > _BUFFER:
-                self._spill()
+        self._entries[key] = self._entries[key]._replace(
+            mesh_offset=self._file.append(mesh), mesh_length=len(mesh), mesh_crc=zlib.crc32(mesh)
+        )
 
     def set_codes(self, key: Block, codes: bytes) -> None:
         """Set or replace the codes of the blocks of the payload of `key`."""
@@ -200,19 +229,6 @@ class SegmentSpool:
         if len(codes) % N_CODES or len(codes) > limit:
             raise ValueError(f"{len(codes)} bytes of codes for {key}")
         self._codes[key] = bytes(codes)
-
-    def finish(self) -> None:
-        """Release memory; no payload is expected soon."""
-        with self._lock:
-            if len(self._buffer) > _KEPT:
-                self._spill()
-
-    def close(self) -> None:
-        with self._lock:
-            if self._path is not None:
-                with storage_errors(f"cannot remove {self._path}"):
-                    os.unlink(self._path)
-            self._path, self._buffer, self._entries = None, bytearray(), {}
 
     def keys(self) -> list[Block]:
         """Return the keys of all entries so far."""
@@ -232,48 +248,20 @@ class SegmentSpool:
         Raises
         ------
         StorageError
-            If the temporary file is gone or damaged.
+            If the temporary file is damaged.
         """
-        with storage_errors(f"cannot read the temporary file {self._path}"):
-            file = open(self._path, "rb") if self._path is not None else None
-            try:
-                for key in keys:
-                    yield from self._sections(file, self._entries[key])
-            finally:
-                if file is not None:
-                    file.close()
+        for key in keys:
+            entry = self._entries[key]
+            for offset, length, crc in (entry[:3], entry[3:6]):
+                data = self._file.read(offset, length)
+                if len(data) != length or zlib.crc32(data) != crc:
+                    raise StorageError("a file of temporary data is damaged")
+                yield data
 
-    def _sections(self, file: BinaryIO | None, entry: Entry) -> Iterator[bytes]:
-        for offset, length, crc in (
-            (entry.offset, entry.payload_length, entry.payload_crc),
-            (entry.mesh_offset, entry.mesh_length, entry.mesh_crc),
-        ):
-            if file is None or offset >= self._spilled:
-                first = offset - self._spilled
-                data = bytes(self._buffer[first : first + length])
-            else:
-                file.seek(offset)
-                data = file.read(length)
-            if len(data) != length or zlib.crc32(data) != crc:
-                raise StorageError(f"the temporary file {self._path} is damaged")
-            yield data
-
-    def _spill(self) -> None:
-        action = f"cannot write temporary files in {self._directory}"
-        with storage_errors(action, advice=self._advice):
-            if self._path is None:
-                handle, self._path = tempfile.mkstemp(".twz-spool", "segment-", self._directory)
-                os.close(handle)
-            # Not "ab": after a failed write, the next one begins after the good bytes.
-            with open(self._path, "r+b") as file:
-                file.seek(self._spilled)
-                file.write(self._buffer)
-        self._spilled += len(self._buffer)
-        self._buffer = bytearray()
-
-    def __getstate__(self) -> dict[str, object]:
-        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+    def stored(self, page: bytes, keys: list[Block]) -> StoredSegment:
+        """Return the segment in a form that takes little memory."""
+        entries = [self._entries[key] for key in keys if page]
+        places = [place for one in entries for place in (one[:2], one[3:5]) if place[1]]
+        data = page + b"".join(_PLACE.pack(*place) for place in places)
+        n_bytes = sum(length for _, length in places)
+        return StoredSegment(self._file, self._file.append(data), len(page), len(places), n_bytes)

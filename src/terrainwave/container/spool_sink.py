@@ -1,20 +1,17 @@
 """Distribution of payloads to the spools of their segments."""
 
 import os
-import secrets
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Iterator, Mapping, Sequence
 
-from terrainwave.container.page import N_CODES, page_layout
 from terrainwave.container.spool import (
     TEMPORARY_ADVICE,
     LikeSegment,
+    SectionFile,
     SegmentSpool,
     StoredSegment,
-    storage_errors,
 )
-from terrainwave.container.writer import write_segments
+from terrainwave.container.writer import stored_segment
 from terrainwave.grid.quadtree import Block, Grid
 
 
@@ -25,17 +22,15 @@ class SpoolSink:
     which have no entries. A repeated segment names the one that it equals.
     """
 
-    def __init__(self, grid: Grid, directory: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, grid: Grid, directory: str | os.PathLike[str], advice: str = TEMPORARY_ADVICE
+    ) -> None:
         self._grid = grid
-        self._directory = directory
         self.spools: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None] = {}
-        # Finished segments without child segments. A run may code a raster twice.
-        name = f"finished-{secrets.token_hex(8)}.twz-spool"
-        self._finished, self._end = os.path.join(directory, name), 0
+        self._file = SectionFile(directory, advice=advice)
         self.n_bytes = 0
         self.n_units = 0
-        self._n_missing: dict[Block | None, int] = {}
-        self._lock, self._storing = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
         """Store the payload of a unit."""
@@ -43,19 +38,10 @@ class SpoolSink:
         with self._lock:
             spool = self.spools.get(head)
             if not isinstance(spool, SegmentSpool):
-                spool = self.spools[head] = SegmentSpool(self._directory)
-        spool.add(key, payload)
-        with self._lock:
+                spool = self.spools[head] = SegmentSpool(self._file)
             self.n_bytes += len(payload)
             self.n_units += 1
-            if head not in self._n_missing:
-                self._n_missing[head] = len(page_layout(self._grid, head).keys)
-            self._n_missing[head] -= 1
-            is_complete = self._n_missing[head] == 0
-            if is_complete:
-                del self._n_missing[head]
-        if is_complete:
-            spool.finish()
+        spool.add(key, payload)
 
     def leave_out(self, block: Block) -> None:
         """Record that all units below a block are void."""
@@ -77,18 +63,12 @@ class SpoolSink:
     def store(self, head: Block) -> None:
         """Move a complete segment, with its codes, out of memory: only its position stays."""
         spool = self.spools.get(head)
-        if not isinstance(spool, SegmentSpool):
-            return
-        action = f"cannot write temporary files in {self._directory}"
-        with self._storing, storage_errors(action, advice=TEMPORARY_ADVICE):
-            # Not "ab": after a failed write, the next one begins after the good bytes.
-            with open(self._finished, "r+b" if self._end else "wb") as file:
-                file.seek(self._end)
-                places = write_segments(file, self._finished, self._grid, [head], self.spools)
-            stored = places[head]
-            self._end += stored.length
-        self.spools[head] = stored
-        spool.close()
+        if isinstance(spool, SegmentSpool):
+            self.spools[head] = stored_segment(self._grid, head, spool)
+
+    def close(self) -> None:
+        """Delete all payloads."""
+        self._file.close()
 
     def present(self) -> Iterator[SegmentSpool]:
         """Yield the spools that have payloads of their own."""
@@ -103,8 +83,6 @@ class SpoolSink:
                 spool.set_mesh(key, section)
             elif section:
                 raise ValueError(f"{key} has a mesh, but no payload of its own")
-        for spool in self.present():
-            spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         return [self._payload(key) for key in keys]
@@ -117,36 +95,3 @@ class SpoolSink:
             key = spool.key_there(key, head)
             spool = self.spools[spool.head]
         return next(spool.chunks([key])) if isinstance(spool, SegmentSpool) else b""
-
-
-class Stored(Protocol):
-    """Payloads, meshes and codes of segments that exist."""
-
-    def payloads(self, keys: Sequence[Block]) -> list[bytes]: ...
-
-    def mesh(self, key: Block) -> bytes: ...
-
-    def codes(self, block: Block) -> tuple[int, int, int, int]: ...
-
-
-def copied_segments(
-    grid: Grid,
-    heads: Iterable[Block | None],
-    stored: Stored,
-    mesh_codes: Mapping[Block, int],
-    directory: str | os.PathLike[str],
-    sections: Mapping[Block, bytes] | None = None,
-    advice: str = TEMPORARY_ADVICE,
-) -> dict[Block | None, SegmentSpool]:
-    """Return segments with other codes of mesh errors, and other mesh sections if any are given."""
-    spools: dict[Block | None, SegmentSpool] = {}
-    for head in heads:
-        spool = spools[head] = SegmentSpool(directory, advice=advice)
-        for key in page_layout(grid, head).keys:
-            codes = bytearray()
-            for block in grid.key_blocks(key):
-                codes += bytes([*stored.codes(block)[: N_CODES - 1], mesh_codes.get(block, 0)])
-            mesh = stored.mesh(key) if sections is None else sections.get(key, b"")
-            spool.add(key, stored.payloads([key])[0], codes=bytes(codes), mesh=mesh)
-        spool.finish()
-    return spools

@@ -29,7 +29,6 @@ from terrainwave.container.page import (
     pack_page,
     page_layout,
     page_length,
-    with_first_child,
 )
 from terrainwave.container.spool import (
     LikeSegment,
@@ -39,8 +38,8 @@ from terrainwave.container.spool import (
 )
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
-# A segment is spooled locally, or stored by other machines. None marks one that is void with all
-# below it, which have no entries.
+# A segment is spooled, or stored if it has no children. None marks one that is void with all below
+# it, which have no entries.
 Segments = Mapping[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
 
 
@@ -175,49 +174,22 @@ def append_digests(
         out_file.flush()
 
 
-def write_segments(
-    file: BinaryIO, path: str, grid: Grid, heads: Sequence[Block | None], segments: Segments
-) -> dict[Block | None, StoredSegment]:
-    """Write segments in the order of `heads` to a file, from its position; return their places.
-
-    `heads` have parents before children. Children outside of `heads` count as absent: their lengths
-    in a page are 0 until `assemble` sets them. The file will be at `path`, a path or URL.
-    """
-    parts: _Extents = defaultdict(lambda: _ABSENT)
-    prepare = _Preparation(grid, segments, parts)
-    for head in reversed(heads):
-        if not _is_below_void(grid, head, segments):
-            parts[head] = prepare(head)
-    places: dict[Block | None, StoredSegment] = {}
-    offset = file.tell()
-    for head in heads:
-        part = parts[head]
-        length = part.page_length + part.sections_length
-        places[head] = StoredSegment(path, offset, part.page_length, length)
-        offset += length
-        if length:
-            file.write(_page_bytes(head, segments, part, 0))
-            for chunk in _sections(grid, head, segments):
-                file.write(chunk)
-    return places
+def stored_segment(grid: Grid, head: Block, spool: SegmentSpool) -> StoredSegment:
+    """Return a complete segment without child segments in a form that takes little memory."""
+    part = _Preparation(grid, {head: spool}, defaultdict(lambda: _ABSENT))(head)
+    page = pack_page(part.columns, 0) if part.length else b""
+    return spool.stored(page, page_layout(grid, head).keys_in_file)
 
 
 def _is_void(head: Block, segments: Segments) -> bool:
     return head in segments and segments[head] is None
 
 
-def _is_below_void(grid: Grid, head: Block | None, segments: Segments) -> bool:
-    """Return whether a segment, or one above it, is given as void."""
-    while head is not None and head not in segments and head.level:
-        head = grid.segment_head(head.parent)
-    return head is not None and _is_void(head, segments)
-
-
 def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:
     """Return the page of a segment whose children's bodies begin at offset `first_child`."""
     segment = segments[head]
     if isinstance(segment, StoredSegment):
-        return with_first_child(segment.page(), first_child)
+        return segment.page()
     return pack_page(part.columns, first_child)
 
 
@@ -264,11 +236,9 @@ class _Preparation:
         there, segment = _resolved(head, self._segments)
         if segment is None:
             return _ABSENT
-        children = tuple(self._parts[child] for child in _children(self._grid, head))
         if isinstance(segment, StoredSegment):
-            n_sections = segment.length - segment.page_length
-            n_pages = sum(child.page_length for child in children)
-            return _Extent(b"", segment.page_length, n_pages + n_sections, n_sections)
+            return _Extent(b"", segment.page_length, segment.n_bytes, segment.n_bytes)
+        children = tuple(self._parts[child] for child in _children(self._grid, head))
         if there == head:
             return self._made(there, segment, children)
         if (there, children) not in self._like:

@@ -239,14 +239,6 @@ class Grid:
             layer = [child for block in layer for child in self.children(block)]
         return layer
 
-    def segment_heads_below(self, head: Block) -> list[Block]:
-        """Return `head` and the heads of all segments below it in order: level, then Morton."""
-        heads, layer = [], [head]
-        while layer:
-            heads += layer
-            layer = [child for block in layer for child in self.segment_children(block)]
-        return heads
-
     def descendants(self, block: Block, level: int) -> list[Block]:
         """Return the blocks of a level inside `block`, in Morton order."""
         layer = [block]

@@ -99,6 +99,7 @@ def make_meshes(
     kind: str,
     executor: Executor,
     on_samples: Callable[[int], None],
+    levels: Iterable[int] | None = None,
 ) -> tuple[BlockMesher, dict[Block, bytes]]:
     """Return the mesher of a file that has no meshes yet, and the sections it will have.
 
@@ -116,7 +117,7 @@ def make_meshes(
         trees=tree_source(kind, decoder),
         coefficients=coefficient_source(kind, decoder),
     )
-    sections.update(make_sections(grid, mesher, executor, on_samples))
+    sections.update(make_sections(grid, mesher, executor, on_samples, levels))
     return mesher, sections
 
 

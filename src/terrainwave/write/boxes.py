@@ -13,7 +13,6 @@ from terrainwave.write.passes.found import Stats
 Box = tuple[int, int]
 
 _NONE: Mapping[Block, Box] = {}
-_NO_ERRORS: Mapping[Block, int] = {}
 
 
 class Codes:
@@ -21,14 +20,13 @@ class Codes:
 
     Parameters
     ----------
-    below_boxes, below_errors : mapping
-        Of blocks whose children `stats` lacks: the ranges below them, and in a faithful file their
-        errors (`recursive_errors`).
+    below : mapping
+        Ranges below blocks whose children `stats` lacks.
 
     Attributes
     ----------
     errors : dict
-        Codes of errors: measured ones plus what is lost by rounding, or `recursive_errors`.
+        Codes of errors: measured ones plus what is lost by rounding, or `_recursive_errors`.
     boxes : dict
         Ranges in quanta (`enclosing_boxes`).
     """
@@ -37,18 +35,17 @@ class Codes:
         self,
         job: Job,
         stats: Stats,
-        below_boxes: Mapping[Block, Box] = _NONE,
-        below_errors: Mapping[Block, int] = _NO_ERRORS,
+        below: Mapping[Block, Box] = _NONE,
     ) -> None:
         self._job, self._stats = job, stats
         self._whole = job.quantizer.z_min, job.quantizer.z_max
         if job.recursion_bound is None:
             found = {block: own.error + job.lost for block, own in stats.items()}
         else:
-            quarters = recursive_errors(stats, job.lost, job.recursion_bound, below_errors)
+            quarters = _recursive_errors(stats, job.lost, job.recursion_bound)
             found = {block: -(-error // 4) for block, error in quarters.items()}
         self.errors = {block: encode_error(error) for block, error in found.items()}
-        self.boxes = enclosing_boxes(stats, self.errors, self._whole, below_boxes, job.moved)
+        self.boxes = enclosing_boxes(stats, self.errors, self._whole, below, job.moved)
 
     def set(
         self, spools: Iterable[SegmentSpool], mesh_errors: Mapping[Block, int] | None = None
@@ -66,31 +63,22 @@ class Codes:
         set_codes(job.grid, spools, self._whole, self.boxes, self.errors, mesh_errors)
 
 
-def recursive_errors(
-    stats: Stats, lost: int, bound: int, below: Mapping[Block, int] = _NO_ERRORS
-) -> dict[Block, int]:
+def _recursive_errors(stats: Stats, lost: int, bound: int) -> dict[Block, int]:
     """Return Err_Appr of every block, by equation (2) of Yusov & Turlapov 2010, in 1/4 quanta.
 
     On the finest level it is the bound; above, the largest of a block's children plus their
     distance from it plus the bound. The measured error counts if it is larger: the equation does
-    not see originals past the last samples of a coarse level.
-
-    Parameters
-    ----------
-    lost, bound : int
-        Addend of measured errors, and the bound, both in quanta.
-    below : mapping
-        Known errors of blocks whose children are unknown.
+    not see originals past the last samples of a coarse level. `lost`, the addend of measured
+    errors, and the bound are in quanta.
     """
-    errors = dict(below)
+    errors: dict[Block, int] = {}
     children: dict[Block, int] = {}
     for block in sorted(stats, reverse=True):  # finest level first
         own = stats[block]
         if own.is_empty:
             continue
-        if block not in below:
-            error = children.get(block, 0) + own.apart + 4 * bound
-            errors[block] = max(error, 4 * (own.error + lost))
+        error = children.get(block, 0) + own.apart + 4 * bound
+        errors[block] = max(error, 4 * (own.error + lost))
         if block.level > 0:
             children[block.parent] = max(children.get(block.parent, 0), errors[block])
     return errors

@@ -7,49 +7,51 @@ the default size, are coded here. Bytes are those of `local_passes`.
 
 import os
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.depot import Depot, store_segments
+from terrainwave.container.depot import Depot
 from terrainwave.container.digests import TILE, TileDigests
-from terrainwave.container.page import N_CODES
-from terrainwave.container.spool import StoredSegment
+from terrainwave.container.page import page_layout
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.errors import StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
-from terrainwave.mesh.sections import make_sections
 from terrainwave.raster_io.temporary import Spool
+from terrainwave.read.decoder import unit_key
+from terrainwave.read.window_reader import make_decoder
 from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import Box, Codes
+from terrainwave.write.boxes import Codes
 from terrainwave.write.compress_options import Options
 from terrainwave.write.encoder import TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
-from terrainwave.write.local import Coded
+from terrainwave.write.local import MESH_CACHE_BYTES, LocalPasses, OnSegment, Walked
 from terrainwave.write.passes.bench import AskedRaster, Bench
+from terrainwave.write.passes.found import unpacked
 from terrainwave.write.passes.proof import collected
 from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import DTYPES, Base, Pyramid, SubtreeRegion
 from terrainwave.write.subtrees import (
     ABOVE,
     CODED,
-    FINISHED,
+    MESHED,
     TOP,
+    Above,
+    Places,
     Site,
     draft_subtree,
     encode_subtree,
-    finish_subtree,
     make_levels,
-    mesher_of,
+    mesh_subtree,
     own_region,
     prove_region,
     push_levels,
@@ -96,17 +98,16 @@ class Cluster:
         return None if level is None else DistributedPasses(bench, self, grid, level, options)
 
 
-class DistributedPasses:
+class DistributedPasses(LocalPasses):
     """The passes of `compress`, shared out over a cluster.
 
     Tasks begin at blocks of `level`. Threads of the bench code the levels above.
     """
 
     def __init__(self, bench: Bench, cluster: Cluster, grid: Grid, level: int, options: Options):
-        self.bench = bench
+        super().__init__(bench, options.keep_origin)
         self._workers, self._raster = cluster.workers, cluster.raster
         self._grid, self._level = grid, level
-        self._has_digest = options.keep_origin
         if cluster.url is None:
             root = bench.directory.absolute() / "depot"
             root.mkdir()
@@ -117,54 +118,37 @@ class DistributedPasses:
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample."""
-        whole = new_scan(self.bench.source.info, self._has_digest, steps)
+        whole = new_scan(self.bench.source.info, self.has_digest, steps)
         # Not after hours, if nothing can be written there.
         self._names.append("begun")
         self._depot.save("begun")
         tasks = {
-            region: (self._raster, region, self._has_digest, steps) for region in self._regions()
+            region: (self._raster, region, self.has_digest, steps) for region in self._regions()
         }
         for _, part in self._run("scanning", scan_region, tasks):
             whole.merge(part)
         return whole
 
-    def encode(self, job: Job) -> Coded:
-        """Code all units; segments below the tasks' blocks are stored in the depot."""
+    @contextmanager
+    def _walked(self, job: Job, sink: SpoolSink, on_segment: OnSegment | None) -> Iterator[Walked]:
+        """Fill a sink with the payloads of all units; code those above the tasks' blocks here."""
         site = Site(self._raster, self._depot.root, job, self._level)
-        top = self._top_pyramid(site)
-        try:
+        with closing(self._top_pyramid(site)) as top:
             refiner, file_tables = fitted_refiner(
                 job, *self._targets(site, top), self.bench.executor
             )
             site = replace(site, file_tables=file_tables)
-            sink = SpoolSink(job.grid, self.bench.directory)
             encoder = TreeEncoder(
-                job.grid, job.parameters, top, sink, refiner=refiner, last_level=self._level
-            )
+                job.grid, job.parameters, top, sink, refiner=refiner, last_level=self._level,
+                on_segment=on_segment,
+            )  # fmt: skip
             encoder.run(self.bench.executor)
-        finally:
-            top.close()
-        found, boxes, errors = encoder.found, dict[Block, Box](), dict[Block, int]()
-        segments: dict[Block | None, StoredSegment] = {}
-        n_bytes = sink.n_bytes + len(file_tables)
-        for spool in sink.present():
-            for key in spool.keys():
-                spool.set_codes(key, bytes(N_CODES * len(site.grid.key_blocks(key))))
-        self._store_top(site, ABOVE, sink)
-        with self._copied() as places:
-            for head, encoded in self._run("encoding", encode_subtree, self._each(site), CODED):
-                found.note(encoded.ancestors)
-                if encoded.box is not None:
-                    boxes[head], errors[head] = encoded.box, encoded.error
-                n_bytes += encoded.n_bytes
-                if not job.options.measures_meshes:
-                    heads = site.grid.segment_heads_below(head)
-                    segments |= zip(heads, places(encoded.places), strict=True)
-        codes = Codes(job, found.stats, boxes, errors)
-        codes.set(sink.present())
-        if job.options.measures_meshes:
-            segments = self._mesh(site, codes, sink)
-        return Coded(file_tables, {**sink.spools, **segments}, n_bytes, job)
+        payloads = self._put_top(site, ABOVE, lambda key: sink.payloads([key])[0])
+        heads = site.grid.blocks(site.level)
+        tasks = {head: (site, head, Above(_above([head], payloads), {}, {})) for head in heads}
+        coded = self._run("encoding", encode_subtree, tasks, CODED)
+        _load(coded, lambda head: encoder.take(head, site.coded(head)))
+        yield encoder.found.stats, file_tables, partial(self._mesh_errors, site, sink, payloads)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file, compare every sample; return the largest error and digests of tiles."""
@@ -230,7 +214,7 @@ class DistributedPasses:
         }
         if names:
             pushed = self._run("averaging", push_levels, self._each(site), "pushed")
-            self._load(site, "pushed", pushed, {name: arrays[name] for name in names})
+            self._load_arrays(site, "pushed", pushed, {name: arrays[name] for name in names})
         top = self.bench.pyramid(site.job, base=Base(site.shift, arrays))
         if site.job.has_voids:
             top.push()
@@ -240,27 +224,25 @@ class DistributedPasses:
                 self._names.append(site.name("fills", head))
                 site.depot.save(self._names[-1], heights=fills, origin=np.array(region[:2]))
         made = self._run("making levels", make_levels, self._each(site), "heights")
-        self._load(site, "heights", made, {"heights": arrays["heights"]})
+        self._load_arrays(site, "heights", made, {"heights": arrays["heights"]})
         top.make_heights(lambda *_: None)
         return top
 
-    def _load(
+    def _load_arrays(
         self,
         site: Site,
         stage: str,
         finished: Iterable[tuple[Block, Any]],
         spools: Mapping[str, Spool],
     ) -> None:
-        """Load into spools what finished tasks have left, of some at a time: a store takes time."""
+        """Load into spools what finished tasks have left."""
 
         def load(head: Block) -> None:
             arrays = site.depot.load(site.name(stage, head))
             for name, spool in spools.items():
                 spool.write(site.grid.block_region(head), arrays[name])
 
-        with ThreadPoolExecutor(AT_A_TIME) as pool:
-            for loaded in [pool.submit(load, head) for head, _ in finished]:
-                loaded.result()
+        _load(finished, load)
 
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
         """Return the fills that a part over a region of the full grid needs, and their place."""
@@ -293,75 +275,61 @@ class DistributedPasses:
 
         return heights, mask
 
-    def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
-        self._names.append(site.name(stage))
-        store_segments(site.depot, self._names[-1], site.grid, site.top_heads(), sink.spools)
-
-    @contextmanager
-    def _copied(self) -> Iterator[Callable[[Sequence[StoredSegment]], list[StoredSegment]]]:
-        """Yield what says where the segments of one entry will lie.
-
-        Those at a URL are copied to this machine while tasks are running: a file is put together
-        from segments one by one, and of a store each would be waited for.
-        """
-        copying: list[Future[None]] = []
-
-        def places(stored: Sequence[StoredSegment]) -> list[StoredSegment]:
-            if "://" not in self._depot.root or not any(place.length for place in stored):
-                return list(stored)
-            path = self.bench.directory / f"copied-{len(copying)}.twz-spool"
-            copying.append(pool.submit(self._depot.fetch, stored[0].path, path))
-            return [place._replace(path=str(path)) for place in stored]
-
-        with ThreadPoolExecutor(AT_A_TIME) as pool:
-            try:
-                yield places
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
-            for copied in copying:
-                copied.result()
+    def _put_top(self, site: Site, stage: str, section: Callable[[Block], bytes]) -> Places:
+        """Store payloads or meshes of the units above the tasks' blocks; return their places."""
+        places: dict[Block, tuple[str, int, int]] = {}
+        for head in site.top_heads():
+            name, data = site.name(stage, head or Block(-1, 0, 0)), b""
+            for key in page_layout(site.grid, head).keys:
+                own = section(key)
+                places[key] = name, len(data), len(own)
+                data += own
+            self._names.append(name)
+            self._depot.put(name, data)
+        return places
 
     # Meshes
 
-    def _mesh(self, site: Site, codes: Codes, sink: SpoolSink) -> dict[Block | None, StoredSegment]:
-        """Have meshes made and measured; return where the finished segments lie."""
-        job, grid = site.job, site.grid
+    def _mesh_errors(
+        self, site: Site, sink: SpoolSink, payloads: Places, job: Job, codes: Codes
+    ) -> dict[Block, int]:
+        """Have meshes made and measured; return the codes of their errors."""
+        header, heads = job.header(site.file_tables), site.grid.blocks(site.level)
         # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
-        with site.decoded(CODED, ABOVE) as (decoder, _):
-            mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
-            sections = make_sections(
-                grid, mesher, self.bench.executor, lambda _: None, range(site.level + 1)
-            )
-        sink.set_meshes(sections)
-        self._store_top(site, TOP, sink)
-        rounds = self._agree(site) if job.options.mesh_kind in STORED_KINDS else {}
-        tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
-        segments: dict[Block | None, StoredSegment] = {}
-        errors: dict[Block, int] = {}
-        with self._copied() as places:
-            finished = self._run("measuring meshes", finish_subtree, tasks, FINISHED)
-            for head, (stored, ancestors) in finished:
-                heads = grid.segment_heads_below(head)
-                segments |= zip(heads, places(stored), strict=True)
-                for block, error in ancestors.items():
-                    errors[block] = max(errors.get(block, 0), error)
-        lost = Fraction(job.lost)
-        mesh_errors = mesher.error_codes(errors, lost, by_recursion=job.options.faithful)
-        codes.set(sink.present(), mesh_errors)
-        return segments
+        decoder = make_decoder(header, sink.payloads, MESH_CACHE_BYTES)
+        levels = range(site.level + 1)
+        mesher, sections = self.bench.meshes(header, decoder, codes.errors, levels)
+        meshes = self._put_top(site, TOP, lambda key: sections.get(key, b""))
+        above = {}
+        for head in heads:
+            near = _around(head, site.grid)
+            errors = {block: codes.errors.get(block, 0) for block in (*near, *_keys_above(near))}
+            above[head] = Above(_above(near, payloads), errors, _above([head], meshes))
+        rounds = self._agree(site, above) if header.mesh in STORED_KINDS else {}
+        tasks = {head: (site, head, above[head], rounds.get(head)) for head in heads}
+        found: dict[Block, int] = {}
 
-    def _agree(self, site: Site) -> dict[Block, int]:
+        def take(head: Block) -> None:
+            values, own = unpacked(self._depot.get(site.name(MESHED, head)))
+            sections.update(own)
+            for *place, error in values["errors"]:
+                block = Block(*place)
+                found[block] = max(found.get(block, 0), error)
+
+        _load(self._run("measuring meshes", mesh_subtree, tasks, MESHED), take)
+        sink.set_meshes(sections)
+        lost = Fraction(job.lost)
+        return mesher.error_codes(found, lost, by_recursion=job.options.faithful)
+
+    def _agree(self, site: Site, above: Mapping[Block, Above]) -> dict[Block, int]:
         """Let subtrees agree on border vertices; return each one's last round that changed it."""
         heads = site.grid.blocks(site.level)
         last: dict[Block, int] = {}
         late = heads
         number = 0
         while late:
-            tasks = {
-                head: (site, head, {near: last[near] for near in _cross(head, last)}, number)
-                for head in late
-            }
+            near = {head: {one: last[one] for one in _cross(head, last)} for head in late}
+            tasks = {head: (site, head, above[head], near[head], number) for head in late}
             stage = f"making meshes, round {number + 1}"
             drafts = self._run(stage, draft_subtree, tasks, f"borders{number}")
             changed = [head for head, has in drafts if has]
@@ -375,6 +343,35 @@ class DistributedPasses:
 
 
 AT_A_TIME = 16  # requests to the depot
+
+
+def _load(finished: Iterable[tuple[Block, Any]], load: Callable[[Block], None]) -> None:
+    """Load what finished tasks have left, of some at a time: a store takes time."""
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        for loaded in [pool.submit(load, head) for head, _ in finished]:
+            loaded.result()
+
+
+def _above(heads: Iterable[Block], places: Places) -> Places:
+    return {key: places[key] for key in _keys_above(heads)}
+
+
+def _keys_above(heads: Iterable[Block]) -> set[Block]:
+    """Return the keys of the units that have some blocks, and of all units above them."""
+    keys: set[Block] = set()
+    for head in heads:
+        key = unit_key(head)
+        while key not in keys:
+            keys.add(key)
+            key = key if key.is_root_key else unit_key(key)
+    return keys
+
+
+def _around(head: Block, grid: Grid) -> list[Block]:
+    """Return a block and its eight neighbours."""
+    level, row, col = head
+    near = (Block(level, row + down, col + right) for down in (-1, 0, 1) for right in (-1, 0, 1))
+    return [block for block in near if grid.contains(block)]
 
 
 def _n_samples(region: Region) -> int:

@@ -387,14 +387,14 @@ def _write(
     if job.options.named_method != options.named_method:
         notes.append("the heights do not compress: stored raw")
     header = job.header(coded.file_tables)
-    extents = assemble(file, header, coded.segments)
+    extents = assemble(file, header, coded.sink.spools)
     measured = None
     if options.verify:
         finished = path or cast(io.BytesIO, file).getvalue()
         measured, tiles = passes.prove(finished, job)
         if options.makes_digests:
             append_digests(file, header, extents, tiles.tree())
-    coded.close()
+    coded.sink.close()
     info = source.info
     scale, n_bytes, n_samples = abs(info.scale), file.tell(), math.prod(info.shape)
     moved = job.moved_error * scale

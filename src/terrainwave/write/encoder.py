@@ -81,6 +81,8 @@ class TreeEncoder:
 
     Parameters
     ----------
+    sink : SpoolSink, optional
+        Takes payloads; without one they stay in `found`.
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
     refiner : Refiner, optional
@@ -101,7 +103,7 @@ class TreeEncoder:
     grid: Grid
     parameters: CodecParameters
     pyramid: Pyramid
-    sink: SpoolSink
+    sink: SpoolSink | None = None
     on_samples: Callable[[int], None] = lambda _: None
     refiner: Refiner | None = None
     last_level: int | None = None
@@ -143,7 +145,7 @@ class TreeEncoder:
             raise
         return []
 
-    def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Stats:
+    def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Found:
         """Encode the groups of `head` and of all blocks below it, in this thread.
 
         `decoded` returns the decoded `head` and its ancestors. The statistics of ancestors cover
@@ -154,7 +156,12 @@ class TreeEncoder:
             block = Block(level, head.row >> head.level - level, head.col >> head.level - level)
             chain.append(self._ancestor(block, decoded(block)))
         self._encode_subtree(Start(head, decoded(head), chain, self.found))
-        return self.found.stats
+        return self.found
+
+    def take(self, head: Block, found: Found) -> None:
+        """Add the results of a subtree that another machine has coded."""
+        self.found.take(found)
+        self._finish_segments(head)
 
     def _encode_subtree(self, start: Start) -> None:
         key, is_whole = start.key, start.found is self.found

@@ -1,7 +1,8 @@
 """The three passes of `compress` over a raster, in threads of this process."""
 
 import os
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -11,7 +12,7 @@ import numpy as np
 from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.digests import TileDigests
-from terrainwave.container.spool import LikeSegment, SegmentSpool, StoredSegment
+from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
 from terrainwave.grid.quadtree import Block
@@ -28,30 +29,32 @@ from terrainwave.write.passes.resuming import KeptUnits, is_by_heights, same_hei
 from terrainwave.write.passes.windows import Windows, check_free_space
 from terrainwave.write.pyramid import Pyramid
 
-_MESH_CACHE_BYTES = 64 << 20
+MESH_CACHE_BYTES = 64 << 20
+OnSegment = Callable[[Block, Stats], None]
+# Statistics, the method's tables, and what makes and measures meshes: it returns their error codes.
+Walked = tuple[Stats, bytes, Callable[[Job, Codes], dict[Block, int]]]
 
 
 @dataclass
 class Coded:
-    """Coded raster: tables, segments, bytes of payloads and tables.
+    """Coded raster: its tables and segments.
 
     `job` is the coded job; that of an embedded file includes its measured error.
     """
 
     file_tables: bytes
-    segments: dict[Block | None, SegmentSpool | LikeSegment | StoredSegment | None]
-    n_bytes: int
+    sink: SpoolSink
     job: Job
 
-    def close(self) -> None:
-        for segment in self.segments.values():
-            if isinstance(segment, SegmentSpool):
-                segment.close()
+    @property
+    def n_bytes(self) -> int:
+        """Return the size of payloads and tables."""
+        return self.sink.n_bytes + len(self.file_tables)
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
     kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
-    dropped.close()
+    dropped.sink.close()
     return kept
 
 
@@ -85,6 +88,22 @@ class LocalPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units into one spool per segment; not those that an earlier run kept."""
+        sink, below = SpoolSink(job.grid, self.bench.directory), dict[Block, Box]()
+        finish = partial(_finish_segment, job, sink, below) if job.may_repeat else None
+        with self._walked(job, sink, finish) as (stats, file_tables, mesh_errors_of):
+            if job.options.is_embedded:
+                finest = (
+                    own.error for block, own in stats.items() if block.level == job.grid.k_max
+                )
+                job = job.with_measured(max(finest, default=0))
+            codes = Codes(job, stats, below)
+            mesh_errors = mesh_errors_of(job, codes) if job.options.measures_meshes else None
+        codes.set(sink.present(), mesh_errors)
+        return Coded(file_tables, sink, job)
+
+    @contextmanager
+    def _walked(self, job: Job, sink: SpoolSink, on_segment: OnSegment | None) -> Iterator[Walked]:
+        """Fill a sink with the payloads of all units; `on_segment` is that of a `TreeEncoder`."""
         bench, grid, method = self.bench, job.grid, job.options.named_method
         pyramid = bench.pyramid(job, self.windows)
         pyramid.kept = bench.kept
@@ -95,14 +114,12 @@ class LocalPasses:
                     "making levels", done, total, done * itemsize
                 )
             )
-            sink = SpoolSink(grid, bench.directory)
             sizes = {"n_units_total": grid.n_units(), "n_levels": grid.k_max + 1}
             on_samples = bench.counter(
                 "encoding", lambda: {"n_bytes_out": sink.n_bytes, "n_units": sink.n_units, **sizes}
             )
             refiner, file_tables = None, b""
             units: dict[Block, Decoded] = {}
-            below: dict[Block, Box] = {}
             walked = grid, job.parameters, pyramid, sink, on_samples
             if method.is_tiled:
                 # Imported here: its compilation takes seconds that other methods do not need.
@@ -112,26 +129,20 @@ class LocalPasses:
             else:
                 refiner, file_tables = _fitted(job, pyramid, bench)
                 # Heights and masks of all levels: four thirds of five bytes for each sample.
-                is_small = 20 * grid.n_rows * grid.n_cols <= 3 * _MESH_CACHE_BYTES
+                is_small = 20 * grid.n_rows * grid.n_cols <= 3 * MESH_CACHE_BYTES
                 stats = TreeEncoder(
                     *walked, refiner,
                     kept=KeptUnits(bench.kept, grid, method.name),
                     on_unit=units.__setitem__ if is_small and job.options.measures_meshes else None,
                     may_repeat=job.may_repeat,
-                    on_segment=partial(_finish_segment, job, sink, below)
-                    if job.may_repeat
-                    else None,
+                    on_segment=on_segment,
                 ).run(bench.executor)  # fmt: skip
-            if job.options.is_embedded:
-                finest = (own.error for block, own in stats.items() if block.level == grid.k_max)
-                job = job.with_measured(max(finest, default=0))
-            codes = Codes(job, stats, below)
-            mesh_errors = None
-            if job.options.measures_meshes:
+
+            def mesh_errors(job: Job, codes: Codes) -> dict[Block, int]:
                 from terrainwave.mesh.blocks import measure_meshes  # most runs make none
 
                 header = job.header(file_tables)
-                decoder = make_decoder(header, sink.payloads, _MESH_CACHE_BYTES, refiner=refiner)
+                decoder = make_decoder(header, sink.payloads, MESH_CACHE_BYTES, refiner=refiner)
                 while units:  # not decoded again
                     decoder.put(*units.popitem())
                 mesher, sections = bench.meshes(header, decoder, codes.errors)
@@ -139,9 +150,9 @@ class LocalPasses:
                 count, lost = bench.counter("measuring meshes"), Fraction(job.lost)
                 originals = pyramid.originals
                 found = measure_meshes(grid, mesher, originals, bench.executor, count, lost)
-                mesh_errors = mesher.error_codes(found, lost, by_recursion=job.options.faithful)
-        codes.set(sink.present(), mesh_errors)
-        return Coded(file_tables, {**sink.spools}, sink.n_bytes + len(file_tables), job)
+                return mesher.error_codes(found, lost, by_recursion=job.options.faithful)
+
+            yield stats, file_tables, mesh_errors
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> tuple[float, TileDigests]:
         """Decode the file from disk and compare every sample and the mask.

@@ -13,7 +13,8 @@ import numpy as np
 from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, checked_threads
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
-from terrainwave.container.spool_sink import copied_segments
+from terrainwave.container.page import page_layout
+from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
 from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
@@ -116,15 +117,20 @@ def store_meshes(
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesher.error_codes(errors, lost, by_recursion=header.is_faithful)
-        spools = copied_segments(
-            grid, grid.segment_heads(), container, codes, directory, sections, "; free space there"
-        )
-        extents = assemble(part.file, header, spools)
+        sink = SpoolSink(grid, directory, "; free space there")
+        for key in (key for head in grid.segment_heads() for key in page_layout(grid, head).keys):
+            sink(key, container.payload(key))
+        sink.set_meshes(sections)
+        for spool in sink.present():
+            for key in spool.keys():
+                blocks = grid.key_blocks(key)
+                own = ([*container.codes(one)[:3], codes.get(one, 0)] for one in blocks)
+                spool.set_codes(key, b"".join(map(bytes, own)))
+        extents = assemble(part.file, header, sink.spools)
         digests = container.digests()
         if digests is not None:  # digests of heights, which do not change
             append_digests(part.file, header, extents, digests)
-        for spool in spools.values():
-            spool.close()
+        sink.close()
         _log.info("%s: stored meshes of kind %s", dst, header.mesh)
     return os.fspath(dst)
 

@@ -327,7 +327,11 @@ class Pyramid:
             while batch := list(islice(windows, _BATCH)):
                 yield from self._executor.map(work, batch)
 
-        for _ in self.kept.each(name, spools, uneven(), side_by_side):
+        made = side_by_side(uneven())
+        if all(spool.is_kept for spool in spools):
+            is_there = all(spool.was_there for spool in spools)
+            made = self.kept.each(name, uneven(), side_by_side, is_there=is_there)
+        for _ in made:
             pass
 
     def close(self) -> None:

@@ -2,12 +2,12 @@
 
 A task reads a part of the raster and the results of other tasks in the depot, stores its own
 results there and returns a few numbers: the client (`cluster`) sees neither heights nor payloads. A
-task can be repeated and gives the same bytes. It runs in one thread. Its memory is bounded: each
-level of the subtree has a spool of 20 MiB, the rest lies on the machine's disk.
+task can be repeated and gives the same bytes. It runs in one thread. In memory are its payloads,
+and of each level of the subtree a spool of 20 MiB; the rest lies on the machine's disk.
 """
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,11 +16,8 @@ from typing import NamedTuple
 
 from terrainwave.codec.refiner import Heights, Refiner
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.container.depot import Depot, StoredSegments, store_segments, stored_places
-from terrainwave.container.spool import StoredSegment
-from terrainwave.container.spool_sink import SpoolSink, copied_segments
+from terrainwave.container.depot import Depot
 from terrainwave.container.targets.publication import scratch_directory
-from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.crew import Crew
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -31,12 +28,11 @@ from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
-from terrainwave.tri.stored_kinds import STORED_KINDS
-from terrainwave.write.boxes import Box, Codes, recursive_errors
+from terrainwave.write.boxes import Codes
 from terrainwave.write.encoder import TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.passes.bench import AskedRaster, Bench
-from terrainwave.write.passes.found import Stats
+from terrainwave.write.passes.found import Found, packed
 from terrainwave.write.passes.proof import Proved, comparison_of, together
 from terrainwave.write.passes.windows import new_scan
 from terrainwave.write.pyramid import Pyramid, SubtreeRegion
@@ -44,9 +40,19 @@ from terrainwave.write.tasks.task import workplace
 
 _CACHE_BYTES = 64 << 20
 _SCAN_SIDE = 2048
-ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
+ABOVE, CODED, TOP, MESHED = "above", "coded", "top", "meshed"
 # Heights given to voids, and the row and column of the first.
 Fills = tuple[Sequence[int], Heights]
+# Positions in the depot, by key: an entry, offset and length in it.
+Places = Mapping[Block, tuple[str, int, int]]
+
+
+class Above(NamedTuple):
+    """Units above a task and its neighbours: payloads, codes of errors; meshes above the task."""
+
+    payloads: Places
+    errors: Mapping[Block, int]
+    meshes: Places
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class Site:
 
     @property
     def depot(self) -> Depot:
-        return Depot(self.root, workplace().folder)
+        return Depot(self.root)
 
     @property
     def grid(self) -> Grid:
@@ -90,32 +96,9 @@ class Site:
         heads = list(self.grid.segment_heads())
         return [head for head in heads if head is None or head.level < self.level]
 
-    def segments(self, stage: str, top_stage: str) -> StoredSegments:
-        """Return the segments of a stage that are in the depot, with those above them."""
-
-        @cache
-        def stored(start: Block | None) -> dict[Block | None, StoredSegment]:
-            if start is None:
-                return stored_places(self.depot, self.name(top_stage), self.top_heads())
-            heads: list[Block | None] = [*self.grid.segment_heads_below(start)]
-            return stored_places(self.depot, self.name(stage, start), heads)
-
-        def place(head: Block | None) -> StoredSegment:
-            if head is None or head.level < self.level:
-                return stored(None)[head]
-            depth = head.level - self.level
-            return stored(Block(self.level, head.row >> depth, head.col >> depth))[head]
-
-        return StoredSegments(self.grid, place)
-
-    @contextmanager
-    def decoded(self, stage: str, top_stage: str) -> Iterator[tuple[TreeDecoder, StoredSegments]]:
-        """Yield a decoder of the `segments` of a stage, and these."""
-        with self.segments(stage, top_stage) as stored:
-            decoder = TreeDecoder(
-                self.grid, self.job.parameters, self.refiner(), stored.payloads, _CACHE_BYTES
-            )
-            yield decoder, stored
+    def coded(self, head: Block) -> Found:
+        """Return the results of `encode_subtree`."""
+        return Found.from_bytes(self.depot.get(self.name(CODED, head)))
 
     @contextmanager
     def levels(self, bench: Bench, region: Region, fills: Fills | None) -> Iterator[Pyramid]:
@@ -131,6 +114,45 @@ class Site:
                 pyramid.pull(spool)
             pyramid.make_heights(lambda *_: None)
             yield pyramid
+
+
+class CodedUnits:
+    """Payloads and error codes of the units of a run, read from the depot when needed."""
+
+    def __init__(self, site: Site, above: Above) -> None:
+        self._site, self._above = site, above
+        self._found = cache(site.coded)
+        self._codes = cache(self._codes_of)
+
+    def decoder(self) -> TreeDecoder:
+        job = self._site.job
+        return TreeDecoder(
+            job.grid, job.parameters, self._site.refiner(), self._payloads, _CACHE_BYTES
+        )
+
+    def error_code(self, block: Block) -> int:
+        errors = self._above.errors
+        if block.level > self._site.level:
+            errors = self._codes(self._head(block)).errors
+        return errors.get(block, 0)
+
+    def _payloads(self, keys: Sequence[Block]) -> list[bytes]:
+        return [
+            self._site.depot.part(*self._above.payloads[key])
+            if key.level < self._site.level
+            else self._found(self._head(key)).payloads.get(key, b"")
+            for key in keys
+        ]
+
+    def _head(self, block: Block) -> Block:
+        depth = block.level - self._site.level
+        return Block(self._site.level, block.row >> depth, block.col >> depth)
+
+    def _codes_of(self, head: Block) -> Codes:
+        stats = self._found(head).stats.items()
+        return Codes(
+            self._site.job, {block: own for block, own in stats if block.level > head.level}
+        )
 
 
 def own_region(grid: Grid, head: Block) -> Region:
@@ -199,70 +221,41 @@ def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, Bench]]:
 # Pass B
 
 
-class EncodedSubtree(NamedTuple):
-    """Result of coding a subtree.
-
-    `ancestors` are the statistics of the subtree's head and the blocks above it, from originals
-    below the head. The head's box must enclose `box` (None if all is void); `error` is the head's
-    in a faithful file (`boxes.recursive_errors`).
-    """
-
-    places: tuple[StoredSegment, ...]
-    ancestors: Stats
-    box: Box | None
-    n_bytes: int
-    error: int
-
-
-def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
-    """Code all groups of a subtree and store their segments in the depot."""
-    job, grid = site.job, site.grid
-    heads: list[Block | None] = [*grid.segment_heads_below(head)]
-    with (
-        _built_pyramid(site, head) as (pyramid, bench),
-        site.decoded(CODED, ABOVE) as (decoder, _),
-    ):
-        sink = SpoolSink(grid, bench.directory)
+def encode_subtree(site: Site, head: Block, above: Above) -> None:
+    """Code all groups of a subtree and store the results in the depot."""
+    with _built_pyramid(site, head) as (pyramid, _):
         encoder = TreeEncoder(
-            grid, job.parameters, pyramid, sink, refiner=site.refiner(), may_repeat=job.may_repeat
+            site.grid,
+            site.job.parameters,
+            pyramid,
+            refiner=site.refiner(),
+            may_repeat=site.job.may_repeat,
         )
-        stats = encoder.run_subtree(head, decoder.block)
-        own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
-        ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
-        error = 0
-        if job.recursion_bound is not None:
-            whole_tree = own | {head: ancestors.get(head, BlockStats())}
-            error = recursive_errors(whole_tree, job.lost, job.recursion_bound).get(head, 0)
-        codes = Codes(job, own)
-        box = codes.boxes.pop(head, None)
-        codes.set(sink.present())
-        places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
-    return EncodedSubtree(tuple(places.values()), ancestors, box, sink.n_bytes, error)
+        found = encoder.run_subtree(head, CodedUnits(site, above).decoder().block)
+    site.depot.put(site.name(CODED, head), found.to_bytes())
 
 
 # Meshes
 
 
-def mesher_of(
-    site: Site,
-    decoder: TreeDecoder,
-    error_code: Callable[[Block], int],
-    part: Callable[[Block], bytes] | None = None,
-) -> BlockMesher:
-    job = site.job
+def _mesher(site: Site, above: Above, sections: Mapping[Block, bytes]) -> BlockMesher:
+    job, units = site.job, CodedUnits(site, above)
+    decoder = units.decoder()
     return BlockMesher(
         site.grid,
         decoder,
-        error_code,
+        units.error_code,
         job.mesh_tolerance,
         has_voids=job.has_voids,
         kind=job.options.mesh_kind,
-        part=part,
+        part=parts_of_blocks(site.grid, lambda key: sections.get(key, b"")),
         trees=tree_source(job.options.mesh_kind, decoder),
     )
 
 
-def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int) -> bool:
+def draft_subtree(
+    site: Site, head: Block, above: Above, rounds: dict[Block, int], number: int
+) -> bool:
     """Make a round of drafts of a subtree's meshes; return whether any changed.
 
     See `tri.zerotree.agreement`. `rounds` are the numbers of the last rounds that changed this
@@ -272,21 +265,19 @@ def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int
         start: BorderState.from_arrays(site.depot.load(_state_name(site, start, last)))
         for start, last in rounds.items()
     }
-    with site.decoded(CODED, TOP) as (decoder, stored):
-        mesher = mesher_of(site, decoder, lambda block: stored.codes(block)[2])
-        if not states:
-            blocks = [
-                block
-                for level in range(head.level + 1, site.grid.k_max + 1)
-                for block in site.grid.descendants(head, level)
-            ]
-            own = draft_blocks(mesher, dict.fromkeys(blocks))
-        else:
-            own = states.pop(head)
-            late = own.late_blocks(states.values())
-            if not late:
-                return False
-            own = own.updated(draft_blocks(mesher, dict(late)))
+    if not states:
+        blocks = [
+            block
+            for level in range(head.level + 1, site.grid.k_max + 1)
+            for block in site.grid.descendants(head, level)
+        ]
+        own = draft_blocks(_mesher(site, above, {}), dict.fromkeys(blocks))
+    else:
+        own = states.pop(head)
+        late = own.late_blocks(states.values())
+        if not late:
+            return False
+        own = own.updated(draft_blocks(_mesher(site, above, {}), dict(late)))
     site.depot.save(_state_name(site, head, number), **own.to_arrays())
     return True
 
@@ -295,40 +286,29 @@ def _state_name(site: Site, head: Block, number: int) -> str:
     return site.name(f"borders{number}", head)
 
 
-def finish_subtree(
-    site: Site, head: Block, last_round: int | None
-) -> tuple[tuple[StoredSegment, ...], dict[Block, int]]:
-    """Make and measure the meshes of a subtree; store its finished segments in the depot.
+def mesh_subtree(site: Site, head: Block, above: Above, last_round: int | None) -> None:
+    """Make and measure the meshes of a subtree; store sections and errors in the depot.
 
     `last_round` is the round of `draft_subtree` that last changed something here; None for meshes
-    without stored bytes. Return the segments, and the errors of ancestors in 1/16 quanta.
+    without stored bytes. Errors, also those of ancestors, are in 1/16 quanta.
     """
-    grid, job, lost = site.grid, site.job, Fraction(site.job.lost)
-    sections: dict[Block, bytes] = {}
-    with _bench(site.raster) as bench, site.decoded(CODED, TOP) as (decoder, stored):
-
-        def section(key: Block) -> bytes:
-            return stored.mesh(key) if key.level < head.level else sections.get(key, b"")
-
-        parts = parts_of_blocks(grid, section)
-        mesher = mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts)
-        if job.options.mesh_kind in STORED_KINDS:
-            state = BorderState.from_arrays(
-                site.depot.load(_state_name(site, head, last_round or 0))
-            )
-            sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
-        part = SubtreeRegion(grid.full_region(head), site.shift)
+    grid, job, own = site.grid, site.job, dict[Block, bytes]()
+    sections = {key: site.depot.part(*place) for key, place in above.meshes.items()}
+    mesher = _mesher(site, above, sections)
+    if last_round is not None:
+        state = BorderState.from_arrays(site.depot.load(_state_name(site, head, last_round)))
+        own = sections_of_parts(grid, encode_parts(mesher, state))
+        sections |= own
+    part = SubtreeRegion(grid.full_region(head), site.shift)
+    with _bench(site.raster) as bench:
         originals = bench.pyramid(job, part=part).originals
         finest = grid.descendants(head, grid.k_max)
+        lost = Fraction(job.lost)
         found = measure_meshes(
             grid, mesher, originals, bench.executor, lambda _: None, lost, finest
         )
-        own = {block: error for block, error in found.items() if block.level > head.level}
-        codes = mesher.error_codes(own, lost, by_recursion=job.options.faithful)
-        heads: list[Block | None] = [*grid.segment_heads_below(head)]
-        spools = copied_segments(grid, heads, stored, codes, bench.directory, sections)
-        places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
-    return tuple(places.values()), {block: found[block] for block in found.keys() - own.keys()}
+    errors = [(*block, error) for block, error in found.items()]
+    site.depot.put(site.name(MESHED, head), packed({"errors": errors}, own))
 
 
 # Pass C

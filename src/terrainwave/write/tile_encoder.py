@@ -21,7 +21,7 @@ from terrainwave.codec.cdf53.refiner import (
 )
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
@@ -158,12 +158,13 @@ class EmbeddedSource:
         self._coder = coder
         self._grid = layout.grid
         self._layout = layout
-        self._spool = SegmentSpool(directory)
+        self._file = SectionFile(directory)
+        self._spool = SegmentSpool(self._file)
         self._streams: dict[Block, tuple[int, tuple[int, ...], int, int]] = {}
         self.position = 0.0
 
     def close(self) -> None:
-        self._spool.close()
+        self._file.close()
 
     def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:
         lock = threading.Lock()

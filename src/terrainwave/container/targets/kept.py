@@ -21,9 +21,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
 
-from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors, write_all
 from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.targets.unfinished import own_path
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
@@ -41,20 +41,7 @@ TICK, _SYNC = 0.2, 10.0
 _CHUNK = 1 << 20  # bytes to read and check at a time
 
 Item = TypeVar("Item")
-
-
-class InFile(Protocol):
-    """An array that may be in a file of a `Kept`."""
-
-    @property
-    def is_kept(self) -> bool:
-        """Return whether it is in a file."""
-        ...
-
-    @property
-    def was_there(self) -> bool:
-        """Return whether its file existed when it was opened."""
-        ...
+Result = TypeVar("Result")
 
 
 class _Record(NamedTuple):
@@ -141,11 +128,6 @@ class Kept:
                 self._synchronise()
                 self._ticked[_SYNCED] = time.monotonic()
 
-    def tick(self, name: str, values: Callable[[], dict[str, Any]]) -> None:
-        """Store a record of work in progress unless the last one is recent."""
-        if self.is_due(name):
-            self.put(name, values())
-
     def is_due(self, name: str) -> bool:
         """Return whether a record of work in progress is due; it then counts as stored."""
         now = time.monotonic()
@@ -161,27 +143,27 @@ class Kept:
     def each(
         self,
         name: str,
-        arrays: Iterable[InFile],
         items: Iterable[Item],
-        do: Callable[[Iterable[Item]], Iterable[Any]] = iter,
-    ) -> Iterator[Any]:
-        """Yield the items that are not done yet, or the results of `do`, in order.
+        do: Callable[[Iterable[Item]], Iterable[Result]],
+        *,
+        is_there: bool,
+        values: Callable[[], dict[str, Any]] = dict,
+    ) -> Iterator[Result]:
+        """Yield the results of `do` for the items that are not done yet, in order.
 
-        An item is done when the next is requested; its results are in `arrays`. If one of these is
-        in memory, or its file is missing, all items are done again.
+        An item is done when the next result is requested; the record then has `values`, too. If
+        the results of an earlier run are not there any more, all items are done again.
         """
-        arrays = list(arrays)
-        is_kept = self.is_on and all(array.is_kept for array in arrays)
-        done = 0
-        if is_kept and all(array.was_there for array in arrays):
-            done = (self.get(name) or {}).get("done", 0)
+        if not is_there and self.get(name) is not None:
+            self.put(name, {"done": 0})
+        done = (self.get(name) or {}).get("done", 0)
         for result in do(islice(items, done, None)):
             yield result
             done += 1
-            if is_kept:
-                self.tick(name, lambda: {"done": done})  # noqa: B023  called at once
-        if is_kept and not self.is_whole(name):
-            self.put(name, {"done": done, "is_whole": True})
+            if self.is_due(name):
+                self.put(name, {"done": done, **values()})
+        if not self.is_whole(name):
+            self.put(name, {"done": done, "is_whole": True, **values()})
 
     def is_whole(self, name: str) -> bool:
         """Return whether all items of `each` are done."""
@@ -253,7 +235,7 @@ class Kept:
         head = _HEAD.pack(_MAGIC, len(text), len(data), zlib.crc32(data, zlib.crc32(text)))
         try:
             self._file.seek(self._end)
-            _write_all(self._file, head + text + data)
+            write_all(self._file, head + text + data)
         except OSError as error:
             raise cannot_write(self._file.name, error, advice=TEMPORARY_ADVICE) from error
         offset = self._end + len(head) + len(text)
@@ -293,13 +275,6 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
             return
         content = json.loads(text)
         yield _Record(content["name"], content["values"], offset, n_data)
-
-
-def _write_all(file: BinaryIO, data: bytes) -> None:
-    """Write all of `data` to an unbuffered file, which may accept less at a time."""
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
 
 
 def _boot() -> str:

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -51,11 +52,19 @@ def uploaded(
         and the message names it.
     """
     check_flags(overwrite=overwrite)
-    target = _Target(url)
-    if not overwrite and target.exists():
-        raise StorageError(
-            f"{target.name} already exists and is left as it is; `overwrite` replaces it"
+    name = display_name(url)
+    if url.partition("://")[0].lower() in _READ_ONLY or "::" in url:
+        raise InvalidArgumentError(
+            f"found {name}, expected a path, or the URL of storage that takes files, such as s3://,"
+            " gs://, az:// or sftp://"
         )
+    fsspec = need("fsspec.core", extra="remote", purpose=f"writing {name}")
+    with filesystem_errors(f"cannot write {name}"):
+        filesystem, target = fsspec.url_to_fs(url)
+        if not overwrite and filesystem.exists(target):
+            raise StorageError(
+                f"{name} already exists and is left as it is; `overwrite` replaces it"
+            )
     parent = Path(temp_dir or tempfile.gettempdir())
     with scratch_directory(parent, "terrainwave") as directory:
         path = directory / "upload.twz"
@@ -63,72 +72,58 @@ def uploaded(
             yield Part(path, file)
             file.flush()
         try:
-            target.put(path)
-            interrupts.note_complete(target.name)
+            with filesystem_errors(f"cannot write {name}"):
+                _put(filesystem, path, target, name)
+            interrupts.note_complete(name)
         except TerrainwaveError as error:
-            kept = parent / f"{Path(target.path).stem}-{secrets.token_hex(4)}.twz"
+            kept = parent / f"{Path(target).stem}-{secrets.token_hex(4)}.twz"
             with storage_errors(f"cannot write {kept}"):
                 shutil.move(path, kept)
             raise StorageError(f"{error}; the finished file is {kept}: upload it") from error
 
 
-class _Target:
-    """A future file in one of fsspec's file systems."""
-
-    def __init__(self, url: str) -> None:
-        self.name = display_name(url)
-        scheme = url.partition("://")[0].lower()
-        if scheme in _READ_ONLY or "::" in url:
-            raise InvalidArgumentError(
-                f"found {self.name}, expected a path, or the URL of storage that takes files, such"
-                " as s3://, gs://, az:// or sftp://"
-            )
-        fsspec = need("fsspec.core", extra="remote", purpose=f"writing {self.name}")
-        self._fs, self.path = self._call(fsspec.url_to_fs, url)
-
-    def exists(self) -> bool:
-        return bool(self._call(self._fs.exists, self.path))
-
-    def put(self, path: Path) -> None:
-        """Upload a file: all of it appears, or nothing."""
-        self._call(put_whole, self._fs, os.fspath(path), self.path)
-        self._fs.invalidate_cache()
-        _log.info("uploaded %s", self.name)
-        found, expected = self._call(self._fs.size, self.path), path.stat().st_size
-        if found != expected:
-            raise StorageError(
-                f"cannot write {self.name}: found {found} bytes there, expected {expected}"
-            )
-        for old in (f"{self.path}{suffix}" for suffix in OF_GDAL):
-            # The upload is done. Storage may forbid listing or removing, and GDAL's driver ignores
-            # old statistics.
-            with suppress(Exception):
-                if self._fs.exists(old):
-                    self._fs.rm_file(old)
-
-    def _call(self, function: Callable[..., Any], *args: Any) -> Any:
-        # File systems raise errors of their libraries, most of which are not OSErrors.
-        try:
-            return function(*args)
-        except TerrainwaveError:
-            raise
-        except Exception as error:
-            reason = without_secrets(in_one_line(error)) or type(error).__name__
-            raise StorageError(f"cannot write {self.name}: {reason}") from error
+def _put(filesystem: Any, path: Path, target: str, name: str) -> None:
+    put_whole(filesystem, partial(filesystem.put_file, os.fspath(path)), target)
+    filesystem.invalidate_cache()
+    _log.info("uploaded %s", name)
+    found, expected = filesystem.size(target), path.stat().st_size
+    if found != expected:
+        raise StorageError(f"cannot write {name}: found {found} bytes there, expected {expected}")
+    for old in (f"{target}{suffix}" for suffix in OF_GDAL):
+        # The upload is done. Storage may forbid listing or removing, and GDAL's driver ignores old
+        # statistics.
+        with suppress(Exception):
+            if filesystem.exists(old):
+                filesystem.rm_file(old)
 
 
-def put_whole(filesystem: Any, path: str, target: str) -> None:
-    """Copy a local file into one of fsspec's file systems: all of it appears, or nothing.
+@contextmanager
+def filesystem_errors(action: str) -> Iterator[None]:
+    """Turn errors of fsspec's file systems into a `StorageError` that begins with `action`.
 
-    Raises any error of the file system.
+    They are of these systems' own libraries, and most are not OSErrors.
+    """
+    try:
+        yield
+    except TerrainwaveError:
+        raise
+    except Exception as error:
+        reason = without_secrets(in_one_line(error)) or type(error).__name__
+        raise StorageError(f"{action}: {reason}") from error
+
+
+def put_whole(filesystem: Any, put: Callable[[str], None], target: str) -> None:
+    """Write a file of one of fsspec's file systems: all of it appears, or nothing.
+
+    `put` writes it under a name. Raises any error of the file system.
     """
     protocols = filesystem.protocol
     if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
-        filesystem.put_file(path, target)
+        put(target)
         return
     unfinished = f"{target}.{secrets.token_hex(8)}.twz-part"
     try:
-        filesystem.put_file(path, unfinished)
+        put(unfinished)
         filesystem.mv(unfinished, target)
     except BaseException:
         with suppress(Exception):  # it may not exist

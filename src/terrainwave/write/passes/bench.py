@@ -1,7 +1,7 @@
 """The raster, threads and folder that the passes of a run share."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -96,9 +96,16 @@ class Bench:
         )
 
     def meshes(
-        self, header: Header, decoder: TreeDecoder, errors: Mapping[Block, int]
+        self,
+        header: Header,
+        decoder: TreeDecoder,
+        errors: Mapping[Block, int],
+        levels: Iterable[int] | None = None,
     ) -> tuple["BlockMesher", dict[Block, bytes]]:
-        """Return the mesher of a file without meshes, and the sections that it will have."""
+        """Return the mesher of a file without meshes, and the sections that it will have.
+
+        With `levels`, only those of blocks on these.
+        """
         from terrainwave.mesh.sections import make_meshes  # most runs make none
 
         return make_meshes(
@@ -110,4 +117,5 @@ class Bench:
             kind=header.mesh,
             executor=self.executor,
             on_samples=self.counter("making meshes"),
+            levels=levels,
         )

@@ -1,8 +1,8 @@
-"""Results of coding: of all units of a raster, or of a subtree that a journal keeps."""
+"""Results of coding: of all units of a raster, or of a subtree that a journal or a depot keeps."""
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass, field
 from typing import Any, NamedTuple
 
@@ -82,9 +82,7 @@ class Found:
             self.has_corrections |= other.has_corrections
 
     def to_bytes(self) -> bytes:
-        """Return the results as a line of JSON, and the payloads behind it."""
         values = {
-            "lengths": [(*key, len(payload)) for key, payload in self.payloads.items()],
             "left_out": self.left_out,
             "stats": [(*block, *astuple(own)) for block, own in self.stats.items()],
             "changes": [(*block, change) for block, change in self.changes.items()],
@@ -92,15 +90,11 @@ class Found:
             "apart_from": [(*block, apart) for block, apart in self.apart_from.items()],
             "has_corrections": self.has_corrections,
         }
-        return b"\n".join([json.dumps(values).encode(), b"".join(self.payloads.values())])
+        return packed(values, self.payloads)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> "Found":
-        line, _, data = data.partition(b"\n")
-        values, payloads, offset = json.loads(line), dict[Block, bytes](), 0
-        for *key, length in values["lengths"]:
-            payloads[Block(*key)] = data[offset : offset + length]
-            offset += length
+        values, payloads = unpacked(data)
         return cls(
             payloads=payloads,
             left_out=[Block(*block) for block in values["left_out"]],
@@ -110,6 +104,23 @@ class Found:
             apart_from={Block(*block): apart for *block, apart in values["apart_from"]},
             has_corrections=values["has_corrections"],
         )
+
+
+def packed(values: dict[str, Any], sections: Mapping[Block, bytes]) -> bytes:
+    """Return values as a line of JSON, and sections of a file behind it."""
+    lengths = [(*key, len(section)) for key, section in sections.items()]
+    line = json.dumps({"lengths": lengths, **values}).encode()
+    return b"\n".join([line, b"".join(sections.values())])
+
+
+def unpacked(data: bytes) -> tuple[dict[str, Any], dict[Block, bytes]]:
+    """Undo `packed`."""
+    line, _, data = data.partition(b"\n")
+    values, sections, offset = json.loads(line), dict[Block, bytes](), 0
+    for *key, length in values["lengths"]:
+        sections[Block(*key)] = data[offset : offset + length]
+        offset += length
+    return values, sections
 
 
 class Ancestor(NamedTuple):

@@ -2,7 +2,7 @@
 
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -31,6 +31,7 @@ from terrainwave.write.pyramid import SourceWindows
 # Names of records: of the scan, of the array of valid samples, and of the file of even tiles.
 _SCAN, _VALID, _SEEN = "scan", "valid", "seen"
 Window = tuple[NDArray[Any], NDArray[np.bool_]]  # heights and validity
+Part = tuple[Region, Even | None]
 # Sides, in samples, of windows in which even regions are reported whole, and of windows that are
 # searched for them: next to even regions, fills of voids reach about as far.
 _SIDE, _UNEVEN_SIDE = 4096, 1024
@@ -60,16 +61,13 @@ class Windows(SourceWindows):
         self._seen = SeenTiles(self._shape, source.info.dtype, kept.path(_SEEN))
         self._lock = threading.Lock()
 
-    def _n_scanned(self) -> int:
-        """Return the number of windows that an earlier run has scanned and stored."""
-        if not self._seen.was_there:
-            return 0
-        if self._heights is not None:
-            has_voids = self._kept.get(_VALID) is not None
-            arrays = [self._heights, *([self._valid_spool()] if has_voids else [])]
-            if not all(array.was_there for array in arrays):
-                return 0
-        return int((self._kept.get(_SCAN) or {"n_windows": 0})["n_windows"])
+    def _is_there(self) -> bool:
+        """Return whether all that an earlier run has stored of windows is there."""
+        if self._heights is None:
+            return self._seen.was_there
+        has_voids = self._kept.get(_VALID) is not None
+        arrays = [self._heights, *([self._valid_spool()] if has_voids else [])]
+        return self._seen.was_there and all(array.was_there for array in arrays)
 
     def scan(
         self, crew: Crew, reporter: Reporter, has_digest: bool, steps: FixedSteps | None = None
@@ -79,36 +77,34 @@ class Windows(SourceWindows):
         In the source's order. Windows that an earlier run has scanned are not read again. Each
         thread of `crew` reads one window at a time.
         """
-        kept, first = self._kept, self._n_scanned()
         scan = new_scan(self._source.info, has_digest, steps)
-        state = kept.get(_SCAN)
-        if first and state is not None:
+        is_there, state = self._is_there(), self._kept.get(_SCAN)
+        if is_there and state is not None:
             scan.take_state(state["scan"])
-        n_windows, parts = first, self._parts(first)
 
-        def record() -> dict[str, Any]:
-            return {"n_windows": n_windows, "scan": scan.to_state()}
+        def side_by_side(parts: Iterable[Part]) -> Iterator[tuple[Region, Even | Window]]:
+            parts = iter(parts)
+            while some := list(islice(parts, crew.n_threads)):
+                yield from crew.map(self._scanned, some)
 
-        while some := list(islice(parts, crew.n_threads)):
-            for region, found in crew.map(self._scanned, some):
-                take(scan, region, found, self._source.info, reporter)
-                n_windows += 1
-                kept.tick(_SCAN, record)
-        kept.put(_SCAN, record())
+        for region, found in self._kept.each(
+            _SCAN, self._parts(), side_by_side,
+            is_there=is_there, values=lambda: {"scan": scan.to_state()},
+        ):  # fmt: skip
+            take(scan, region, found, self._source.info, reporter)
         return scan
 
-    def _parts(self, first: int) -> Iterator[tuple[Region, Even | None]]:
-        for number, (region, even) in enumerate(self._source.parts()):
+    def _parts(self) -> Iterator[Part]:
+        for region, even in self._source.parts():
             if even is not None:
                 self._seen.note_even(region, even)
                 if self._heights is not None:
                     self._heights.fill(region, even.value)
                     if self._valid is not None or not even.is_valid:
                         self._valid_spool().fill(region, even.is_valid)
-            if number >= first:
-                yield region, even
+            yield region, even
 
-    def _scanned(self, part: tuple[Region, Even | None]) -> tuple[Region, Even | Window]:
+    def _scanned(self, part: Part) -> tuple[Region, Even | Window]:
         region, even = part
         if even is not None:
             return region, even

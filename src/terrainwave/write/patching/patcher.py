@@ -273,8 +273,7 @@ class Patcher:
     def close(self) -> None:
         """Delete temporary data."""
         self._pyramid.close()
-        for spool in self.sink.present():
-            spool.close()
+        self.sink.close()
 
 
 class _PatchComparison(Comparison):
