@@ -22,7 +22,7 @@ static int32_t digits_of(double value) {
   return value > 0 ? (int32_t)(bits >> 52) - 1022 : 0;
 }
 
-int64_t twz_python_gather_samples(const gather_job *job) {
+ALSO_AVX2 int64_t twz_python_gather_samples(const gather_job *job) {
   double *row = job->values;
   for (int64_t k = 0; k < job->n_places; k++) {
     const int32_t *at = job->heights + job->places[k];
@@ -47,7 +47,7 @@ void twz_python_errors_of(const double *values, int64_t n, int64_t step, const d
   find_kernels(TWZ_KERNELS_AUTO)->fit_errors(values, n, step, weights, n_sets, whole, unit, errors);
 }
 
-void twz_python_sums_of_bits(const double *values, int64_t n, int64_t step, const double *weights, int32_t n_sets, double whole,
+ALSO_AVX2 void twz_python_sums_of_bits(const double *values, int64_t n, int64_t step, const double *weights, int32_t n_sets, double whole,
                              double unit, const double *noises, double most, double *errors, int64_t *sums) {
   const row_kernels *kernels = find_kernels(TWZ_KERNELS_AUTO);
   for (int64_t begin = 0; begin < n; begin += FIT_BLOCK) {
@@ -66,7 +66,7 @@ void twz_python_sums_of_bits(const double *values, int64_t n, int64_t step, cons
   }
 }
 
-int32_t twz_python_products_of(const double *values, int64_t n, int64_t step, const double *roots, int32_t bits, double *products) {
+ALSO_AVX2 int32_t twz_python_products_of(const double *values, int64_t n, int64_t step, const double *roots, int32_t bits, double *products) {
   double largest = 0;
   for (int64_t k = 0; k < n; k++) {
     int32_t most = 0; /* roundings of products are in their order */
@@ -89,7 +89,7 @@ int32_t twz_python_products_of(const double *values, int64_t n, int64_t step, co
   return shift;
 }
 
-void twz_python_solve(double *systems, int64_t n, double *solutions) {
+ALSO_AVX2 void twz_python_solve(double *systems, int64_t n, double *solutions) {
   for (int64_t i = 0; i < n; i++, systems += FIT_TAPS * FIT_COLUMNS) {
     for (int32_t k = 0; k < FIT_TAPS; k++) {
       double row[FIT_COLUMNS];
@@ -104,7 +104,7 @@ void twz_python_solve(double *systems, int64_t n, double *solutions) {
   }
 }
 
-int64_t twz_python_rows_of(const int32_t *features, const int32_t *details, const uint8_t *is_coded, int64_t n, int64_t every, double unit,
+ALSO_AVX2 int64_t twz_python_rows_of(const int32_t *features, const int32_t *details, const uint8_t *is_coded, int64_t n, int64_t every, double unit,
                 int64_t capacity, double *rows) {
   int64_t found = 0;
   for (int64_t turn = 0; turn < n / every; turn++) {

@@ -11,7 +11,7 @@ static ALWAYS_INLINE int32_t apart(int32_t a, int32_t b) {
   return (int32_t)((int32_t)x < 0 ? 0 - x : x);
 }
 
-void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols, int64_t decoded_cols,
+ALSO_AVX2 void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, const int32_t *decoded, int64_t original_cols, int64_t decoded_cols,
                      int32_t row, int32_t col, int32_t n_rows, int32_t n_cols, int32_t found[3]) {
   int32_t low = INT32_MAX, high = INT32_MIN, error = 0;
   for (ptrdiff_t i = row; i < (ptrdiff_t)row + n_rows; i++) {
@@ -34,7 +34,7 @@ void twz_python_range_and_error(const int32_t *originals, const uint8_t *valid, 
  * those of block_stats.py; those of voids may wrap.
  */
 #define DEVIATION(name, number, bits)                                                                                          \
-  static int64_t name(const deviation_job *job) {                                                                              \
+  static ALSO_AVX2 int64_t name(const deviation_job *job) {                                                                              \
     const int32_t n = job->n_places, shift = job->shift, n_cells = (n - 1) >> shift;                                           \
     number *now = job->lines, *then = now + n, *RESTRICT upper = now + 2 * (ptrdiff_t)n, *RESTRICT rise = now + 3 * (ptrdiff_t)n; \
     number *RESTRICT surface = now + 4 * (ptrdiff_t)n, largest = 0;                                                            \
@@ -93,7 +93,7 @@ static ALWAYS_INLINE int single_of(int32_t value) {
   return value < -SINGLE_LIMIT || value > SINGLE_LIMIT ? SINGLE_ESCAPE : value + SINGLE_LIMIT;
 }
 
-void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
+ALSO_AVX2 void twz_python_count_seen(const int32_t *features, const int32_t *details, const uint8_t *is_coded, size_t n, const int32_t *weights, int least_cut,
                 int most_cut, int64_t *pairs, int64_t *singles, int64_t *escaped) {
   enum { PIECE = 256 };
   const int32_t *ranges = features, *bends = features + n, *near = features + 2 * n;

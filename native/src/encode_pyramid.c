@@ -15,23 +15,22 @@ static ALWAYS_INLINE int64_t whole_of(double x) {
 
 static ALWAYS_INLINE int32_t less_base(int64_t number, int64_t base) { return (int32_t)(uint32_t)((uint64_t)number - (uint64_t)base); }
 
-#define QUANTISE(type)                                                                          \
-  do {                                                                                          \
-    const type *from = raw;                                                                     \
-    for (size_t i = 0; i < n; i++) {                                                            \
-      if (!valid[i]) {                                                                          \
-        quanta[i] = 0;                                                                          \
-      } else if (is_whole) {                                                                    \
-        quanta[i] = less_base(floor_div((int64_t)from[i], numerator), base);                    \
-      } else {                                                                                  \
-        quanta[i] = less_base(whole_of(round_to_even((double)from[i] * by / over)), base);      \
-      }                                                                                         \
-    }                                                                                           \
+#define QUANTISE(type)                                                                                               \
+  do {                                                                                                               \
+    const type *from = raw;                                                                                          \
+    for (size_t row = 0; row < n_rows; row++, from += raw_stride, valid += valid_stride, quanta += n_cols) {         \
+      for (size_t i = 0; is_own && i < n_cols; i++) quanta[i] = valid[i] ? less_base((int64_t)from[i], base) : 0;    \
+      for (size_t i = 0; !is_own && i < n_cols; i++) {                                                               \
+        quanta[i] = !valid[i] ? 0 : less_base(is_whole ? floor_div((int64_t)from[i], numerator)                      \
+                                                       : whole_of(round_to_even((double)from[i] * by / over)), base); \
+      }                                                                                                              \
+    }                                                                                                                \
   } while (0)
 
-void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator, int64_t denominator,
-                      int64_t base, int32_t *quanta) {
+ALSO_AVX2 void twz_python_quantise(int type, const void *raw, ptrdiff_t raw_stride, const uint8_t *valid, ptrdiff_t valid_stride, size_t n_rows, size_t n_cols,
+                      int is_whole, int64_t numerator, int64_t denominator, int64_t base, int32_t *RESTRICT quanta) {
   const double by = (double)denominator, over = (double)numerator;
+  const int is_own = is_whole && numerator == 1 && type < RAW_F4; /* integers less the base */
   switch (type) {
     case RAW_I1: QUANTISE(int8_t); break;
     case RAW_U1: QUANTISE(uint8_t); break;
@@ -55,7 +54,7 @@ void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t
     }                                                                                            \
   } while (0)
 
-void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
+ALSO_AVX2 void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
                         int64_t high, void *heights) {
   float *singles = heights;
   double *doubles = heights;
@@ -76,7 +75,7 @@ void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t nu
   }
 }
 
-void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
+ALSO_AVX2 void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int64_t *lines,
                   int32_t to_rows, int32_t to_cols, int32_t *values, uint8_t *known) {
   int64_t *RESTRICT parts = lines, *RESTRICT shares = lines + n_cols;
   for (int32_t i = 0; i < to_rows; i++) {
@@ -98,7 +97,7 @@ void twz_python_push(const int32_t *fine, int32_t n_rows, int32_t n_cols, int32_
   }
 }
 
-void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
+ALSO_AVX2 void twz_python_pull(const int32_t *coarse, int32_t n_rows, int32_t n_cols, int32_t first_row, int32_t first_col, int32_t to_rows,
                   int32_t to_cols, const uint8_t *known, int32_t *values) {
   for (int32_t i = 0; i < to_rows; i++) {
     int32_t row = i + first_row;

@@ -8,9 +8,9 @@
 enum { RAW_I1, RAW_U1, RAW_I2, RAW_U2, RAW_I4, RAW_U4, RAW_I8, RAW_F4, RAW_F8 };
 #define UNKNOWN_HEIGHT INT32_MIN
 
-/* Quanta of n raw heights, 0 where not valid: rounded to the grid, ties to even, but for integers on their own grid. */
-PYTHON_API void twz_python_quantise(int type, const void *raw, const uint8_t *valid, size_t n, int is_whole, int64_t numerator, int64_t denominator,
-                      int64_t base, int32_t *quanta);
+/* Quanta of raw heights, 0 where not valid: rounded to the grid, ties to even, but for integers on their own grid. Strides in samples. */
+PYTHON_API void twz_python_quantise(int type, const void *raw, ptrdiff_t raw_stride, const uint8_t *valid, ptrdiff_t valid_stride, size_t n_rows, size_t n_cols,
+                      int is_whole, int64_t numerator, int64_t denominator, int64_t base, int32_t *RESTRICT quanta);
 /* Heights of n quanta: whole ones from `low` to `high`, ties to even, or rounded to doubles and then to their own type. */
 PYTHON_API void twz_python_dequantise(int type, const int32_t *quanta, size_t n, int64_t numerator, int64_t denominator, int64_t base, int64_t low,
                         int64_t high, void *heights);

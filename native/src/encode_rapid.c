@@ -16,6 +16,7 @@ struct twz_encoder {
   twz_allocator allocator;
   const struct row_kernels *kernels;
   scratch rows, unit, payload;   /* of a lattice; of all that a unit needs besides; what is made */
+  uint32_t inverses[SLOTS + 1];  /* by f: ceil(2^(32 + b) / f) - 2^32, b the bits of f - 1; division by f for any 32 bits */
 };
 
 /* ---- Tables and memory ---- */
@@ -74,6 +75,7 @@ twz_status encoder_new(const twz_allocator *a, twz_kernels kernels, twz_encoder 
   if (!e) return twz_no_memory(error, sizeof *e);
   e->allocator = *a;
   e->kernels = found;
+  for (uint32_t f = 1; f <= SLOTS; f++) e->inverses[f] = (uint32_t)((((uint64_t)1 << (32 + bit_length(f - 1))) - 1) / f + 1);
   e->rows.allocator = e->unit.allocator = e->payload.allocator = &e->allocator;
   *made = e;
   return TWZ_OK;
@@ -113,7 +115,7 @@ static ALWAYS_INLINE uint32_t single_symbol(int32_t value) {
 
 static ALWAYS_INLINE int raw_bits_of(uint8_t single) { return max_i32((int8_t)single - RAW_CLASS, 0) >> 1; }
 
-void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n) {
+ALSO_AVX2 void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n) {
   const uint32_t *freqs = e->tables->freqs;
   const int cut = e->tables->rapid->cut;
   uint32_t *to = l->entries + l->n_entries, k = 0;
@@ -162,21 +164,20 @@ void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *
 }
 
 /* Encode a log, the last symbol first, before `end`; return how many words, or -1: a symbol has no slot. */
-static ptrdiff_t encode_words(const encode_tables *t, const symbol_log *l, uint32_t n_states, uint32_t *states, uint8_t *end) {
+static ptrdiff_t encode_words(const encode_tables *t, const uint32_t *inverses, const symbol_log *l, uint32_t n_states, uint32_t *states, uint8_t *end) {
   uint8_t *at = end;
   for (uint32_t i = 0; i < n_states; i++) states[i] = FIRST_STATE;
   for (size_t k = l->n_entries; k > 0; k--) {
     uint32_t entry = l->entries[k - 1], found = t->freqs[entry & 0xFFFF], freq = found & FREQ_MASK;
     uint32_t *state = states + (entry >> 16 & (n_states - 1)), x = *state;
     if (freq == 0) return -1;
-    if (x >= (uint64_t)freq << (32 - SLOT_BITS)) {
-      at -= 2;
-      at[0] = (uint8_t)x;
-      at[1] = (uint8_t)(x >> 8);
-      x >>= 16;
-    }
-    uint32_t whole = x / freq;
-    *state = (whole << SLOT_BITS) + (x - whole * freq) + (found >> FREQ_BITS & FREQ_MASK);
+    int is_full = x >= (uint64_t)freq << (32 - SLOT_BITS); /* no branch, which no processor foresees: k words are left */
+    at[-2] = (uint8_t)x;
+    at[-1] = (uint8_t)(x >> 8);
+    at -= 2 * is_full;
+    x >>= 16 * is_full;
+    uint32_t whole = (uint32_t)((((uint64_t)x * inverses[freq] >> 32) + x) >> (SLOT_BITS - (found >> COST_SHIFT))); /* x / freq */
+    *state = x + whole * (SLOTS - freq) + (found >> FREQ_BITS & FREQ_MASK);
   }
   return (end - at) / 2;
 }
@@ -211,7 +212,7 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   for (int is_again = 0; is_again < 2; is_again++) {
     for (int b = 0; b < e->n_bands && (!is_again || which < 2); b++) {
       uint8_t *end = bands[b].words + (is_again ? 2 * bands[b].n_words : 2 * e->logs[b].n_entries);
-      ptrdiff_t n_words = encode_words(e->tables, &e->logs[b], N_STATES[which], bands[b].states, end);
+      ptrdiff_t n_words = encode_words(e->tables, encoder->inverses, &e->logs[b], N_STATES[which], bands[b].states, end);
       if (n_words < 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "a symbol that the tables have no slot for");
       bands[b].n_words = (size_t)n_words;
       bands[b].words = end - 2 * n_words;
@@ -238,7 +239,7 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   return TWZ_OK;
 }
 
-int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
+ALSO_AVX2 int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
   int64_t n = 0, octaves = 0;
   for (int p = HH; p <= LH; p++) {
     const int32_t *details = e->details[p];
@@ -259,7 +260,7 @@ int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
 /* ---- Units ---- */
 
 /* The least and the greatest height that a unit's planes hold. */
-static void find_range(const encode_job *job, int64_t *low, int64_t *high, int *is_within) {
+static ALSO_AVX2 void find_range(const encode_job *job, int64_t *low, int64_t *high, int *is_within) {
   size_t n = (size_t)job->n_rows * (size_t)job->n_cols, n_seen = 0;
   int32_t least = INT32_MAX, most = INT32_MIN;
   if (job->valid) {
@@ -403,6 +404,21 @@ static twz_status check_job(const encode_job *job, twz_error *error) {
   return TWZ_OK;
 }
 
+static void begin_unit(rapid_unit *u, encoding *e, twz_encoder *encoder, const encode_tables *tables, const encode_job *job) {
+  memset(e, 0, sizeof *e);
+  memset(u, 0, sizeof *u);
+  e->tables = tables;
+  e->job = job;
+  e->seen = job->seen;
+  u->tables = tables->rapid;
+  u->scratch = &encoder->rows;
+  u->step = job->step;
+  u->z_min = job->z_min;
+  u->z_max = job->z_max;
+  u->valid = job->valid;
+  u->parent = job->parent;
+}
+
 /* The one lattice of a group. */
 static void begin_group(rapid_unit *u, const encode_tables *tables, const encode_job *job) {
   u->parent_stride = (ptrdiff_t)job->parent_stride;
@@ -422,18 +438,8 @@ twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, 
   int32_t *root;
   int64_t least, most;
   int is_within;
-  memset(&e, 0, sizeof e);
-  memset(&u, 0, sizeof u);
-  e.tables = tables;
-  e.job = job;
-  e.seen = job->seen;
+  begin_unit(&u, &e, encoder, tables, job);
   TRY(make_room(encoder, &e, &root, error));
-  u.tables = tables->rapid;
-  u.scratch = &encoder->rows;
-  u.step = job->step;
-  u.z_min = job->z_min;
-  u.z_max = job->z_max;
-  u.valid = job->valid;
   u.is_encoded = 1;
   find_range(job, &least, &most, &is_within);
   int64_t number = choose_head(job, &u, least, most);
@@ -444,7 +450,6 @@ twz_status twz_python_encode(twz_encoder *encoder, const encode_tables *tables, 
   if (!job->parent) {
     TRY(code_root(encoder, &u, &e, root, error));
   } else {
-    u.parent = job->parent;
     e.row_step = job->n_cols;
     e.col_step = 1;
     begin_group(&u, tables, job);
@@ -461,17 +466,8 @@ twz_status twz_python_decode(twz_encoder *encoder, const encode_tables *tables, 
   encoding e;
   rapid_unit u;
   TRY(check_job(job, error));
-  memset(&e, 0, sizeof e);
-  memset(&u, 0, sizeof u);
-  e.job = job;
-  u.tables = tables->rapid;
-  u.scratch = &encoder->rows;
-  u.step = job->step;
-  u.z_min = job->z_min;
-  u.z_max = job->z_max;
-  u.valid = job->valid;
+  begin_unit(&u, &e, encoder, tables, job);
   u.corrections = job->added;
-  u.parent = job->parent;
   reader bytes = {job->payload, (size_t)job->n_payload, 0};
   TRY(rapid_open_payload(&u, &bytes, error));
   /* Levels are rounded down: predictions lie up to one level below the lowest height. */

@@ -27,6 +27,13 @@
 #define PYTHON_API
 #endif
 
+/* Compiled for AVX2, too: the system's loader chooses. Without FMA, so results are equal. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && !defined(TWZ_SANITIZED)
+#define ALSO_AVX2 __attribute__((target_clones("default", "avx2")))
+#else
+#define ALSO_AVX2
+#endif
+
 /* ---- Small things --------------------------------------------------------------------------- */
 
 static inline int32_t min_i32(int32_t a, int32_t b) { return a < b ? a : b; }

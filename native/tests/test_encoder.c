@@ -280,7 +280,7 @@ static void test_pyramid(void) {
     for (size_t i = 0; type == RAW_F8 && i < n; i++) memcpy(raw + 8 * i, &ODD[below(10)], 8);
     for (size_t i = 0; i < n; i++) valid[i] = below(4) > 0; /* of floats of any bits: NaN, infinities */
     for (int is_whole = 0; is_whole < 2; is_whole++) {
-      twz_python_quantise(type, raw, valid, n, is_whole, 1 + below(1000), 1 + below(1000), between(-1000, 1000), quanta);
+      twz_python_quantise(type, raw, (ptrdiff_t)n, valid, (ptrdiff_t)n, 1, n, is_whole, 1 + below(1000), 1 + below(1000), between(-1000, 1000), quanta);
       for (size_t i = 0; i < n; i++) CHECK(valid[i] || quanta[i] == 0);
     }
     free(raw);

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.memory import Spares, new_heights
 from terrainwave.codec.refiner import Mask, as_array
-from terrainwave.coding.native_library import NativeError, NativeLibrary, loaded
+from terrainwave.coding.native_library import NativeError, NativeLibrary, address, loaded
 from terrainwave.grid.quadtree import Region
 
 if TYPE_CHECKING:
@@ -56,6 +56,12 @@ def library() -> NativeLibrary:
     return found
 
 
+@cache
+def function(name: str, result: Any, *arguments: Any) -> Any:
+    """Return a function of the library that returns no status."""
+    return library().plain(name, result, *arguments)
+
+
 def call(name: str, *arguments: Any) -> None:
     """Call a function that encodes.
 
@@ -93,7 +99,7 @@ class Owned:
         call(make, *arguments, ctypes.byref(made))
         assert made.value is not None
         self.address: int = made.value
-        release = library().plain(free, None, POINTER)
+        release = function(free, None, POINTER)
         weakref.finalize(self, release, self.address).atexit = False
 
 
@@ -115,21 +121,21 @@ def code_known(
     cells = new_heights((n_rows, -(-n_cols // 4))).ravel().view(np.uint8)[: n_rows * n_cols]
     job = _MaskJob(
         size=ctypes.sizeof(_MaskJob), n_rows=n_rows, n_cols=n_cols, p=region.row & 1,
-        q=region.col & 1, is_finest=is_finest, cells=cells.ctypes.data,
-        models=log.models.ctypes.data, bits=log.bits.ctypes.data, capacity=len(log.models),
+        q=region.col & 1, is_finest=is_finest, cells=address(cells),
+        models=address(log.models), bits=address(log.bits), capacity=len(log.models),
     )  # fmt: skip
     arrays: list[NDArray[Any]] = []
     if section:
         arrays = [padded(section)]
-        job.section, job.n_section = arrays[0].ctypes.data, len(section)
+        job.section, job.n_section = address(arrays[0]), len(section)
     if own is not None:
         arrays = [np.ascontiguousarray(own), np.ascontiguousarray(mask)]
-        job.own, job.mask = (array.ctypes.data for array in arrays)
+        job.own, job.mask = (address(array) for array in arrays)
     if above is not None:
         known = above.validity.own_mask, above.validity.mask
         parts = [np.ascontiguousarray(as_array(part, above.region.shape)) for part in known]
         arrays += parts
-        job.own_above, job.valid_above = (part.ctypes.data for part in parts)
+        job.own_above, job.valid_above = (address(part) for part in parts)
         job.has_above, (job.above_rows, job.above_cols) = 1, above.region.shape
         job.above_row = (region.row + 1 >> 1) - above.region.row
         job.above_col = (region.col + 1 >> 1) - above.region.col
@@ -164,14 +170,14 @@ def write_bits(
 ) -> int:
     """Do as `masks.write_bits`."""
     coded = np.empty(words.size, dtype="<u2")
-    write = library().plain(
+    write = function(
         "twz_python_mask_words", ctypes.c_uint64, POINTER, POINTER, ctypes.c_uint64, POINTER,
         ctypes.c_uint32, POINTER, POINTER,
     )  # fmt: skip
     freqs, models = np.ascontiguousarray(freqs), np.ascontiguousarray(models)
     at: int = write(
-        models.ctypes.data, np.ascontiguousarray(bits).ctypes.data, models.size,
-        freqs.ctypes.data, states.size, states.ctypes.data, coded.ctypes.data,
+        address(models), address(np.ascontiguousarray(bits)), models.size,
+        address(freqs), states.size, address(states), address(coded),
     )  # fmt: skip
     words[at:] = coded[at:]
     return at

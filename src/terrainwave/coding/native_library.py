@@ -7,6 +7,7 @@ compiles: bytes and heights are the same. `also_in_c` is the one place that choo
 import ctypes
 import importlib
 import os
+import sys
 import warnings
 from collections.abc import Callable
 from functools import cache, wraps
@@ -139,6 +140,14 @@ def loaded() -> NativeLibrary | None:
         return None
 
 
+def address(array: Any) -> int:
+    """Return the address of a contiguous array; `ctypes.data` takes three times as long."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    except (TypeError, ValueError):  # read-only or empty
+        return int(array.ctypes.data)
+
+
 def is_wanted() -> bool:
     """Return whether the environment lets the library be used.
 
@@ -153,6 +162,11 @@ def is_wanted() -> bool:
     return word == "1"
 
 
+def is_used() -> bool:
+    """Return whether the package has a library that fits and is wanted."""
+    return is_wanted() and loaded() is not None
+
+
 def also_in_c(module: str) -> Callable[[_Function], _Function]:
     """Let a function of `module` with the same name, which calls the library, do this one's work.
 
@@ -160,12 +174,14 @@ def also_in_c(module: str) -> Callable[[_Function], _Function]:
     """
 
     def decorate(function: _Function) -> _Function:
+        name = function.__name__
+
         @wraps(function)
         def chosen(*arguments: Any, **options: Any) -> Any:
-            found: Callable[..., Any] = function
-            if is_wanted() and loaded() is not None:
-                found = getattr(importlib.import_module(module), function.__name__)
-            return found(*arguments, **options)
+            if not is_used():
+                return function(*arguments, **options)
+            found = sys.modules.get(module) or importlib.import_module(module)
+            return getattr(found, name)(*arguments, **options)
 
         return cast(_Function, chosen)
 

@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.native_library import loaded
+from terrainwave.coding.native_library import address, loaded
 
 _POINTER, _INT, _LONG = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64
 # Types by their places in RAW_I1 ... of native/src/encode_pyramid.h.
 _TYPES = {np.dtype(name): k for k, name in enumerate("i1 u1 i2 u2 i4 u4 i8 f4 f8".split())}
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "quantise": (
-        ctypes.c_int, _POINTER, _POINTER, ctypes.c_size_t, ctypes.c_int, *(_LONG,) * 3, _POINTER,
+        ctypes.c_int, *(_POINTER, ctypes.c_ssize_t) * 2, ctypes.c_size_t, ctypes.c_size_t,
+        ctypes.c_int, *(_LONG,) * 3, _POINTER,
     ),
     "dequantise": (ctypes.c_int, _POINTER, ctypes.c_size_t, *(_LONG,) * 5, _POINTER),
     "range_and_error": (*(_POINTER,) * 3, _LONG, _LONG, *(_INT,) * 4, _POINTER),
@@ -48,12 +49,20 @@ def _quantise(
     raw: NDArray[Any], valid: NDArray[np.bool_], scale: tuple[int, int], base: int,
     quanta: NDArray[np.int32], *, is_whole: bool,
 ) -> None:  # fmt: skip
-    raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
+    (raw, *raw_place), (valid, *valid_place) = _rows_of(raw), _rows_of(valid)
     assert quanta.flags.c_contiguous
+    assert raw.shape == valid.shape == quanta.shape
     _function("quantise")(
-        _TYPES[raw.dtype.newbyteorder("=")], raw.ctypes.data, valid.ctypes.data, raw.size, is_whole,
-        *scale, base, quanta.ctypes.data,
+        _TYPES[raw.dtype.newbyteorder("=")], *raw_place, *valid_place, *raw.shape, is_whole,
+        *scale, base, address(quanta),
     )  # fmt: skip
+
+
+def _rows_of(array: NDArray[Any]) -> tuple[NDArray[Any], int, int]:
+    """Return an array whose rows are contiguous, its address, and the distance of its rows."""
+    if not array.dtype.isnative or array.strides[1] != array.itemsize:
+        array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
+    return array, address(array), array.strides[0] // array.itemsize
 
 
 def quantize_integers(
@@ -80,8 +89,8 @@ def push(
     fine = np.ascontiguousarray(fine)
     assert all(array.flags.c_contiguous for array in (lines, values, known))
     _function("push")(
-        fine.ctypes.data, *fine.shape, first_row, first_col, lines.ctypes.data, *values.shape,
-        values.ctypes.data, known.ctypes.data,
+        address(fine), *fine.shape, first_row, first_col, address(lines), *values.shape,
+        address(values), address(known),
     )  # fmt: skip
 
 
@@ -93,8 +102,8 @@ def pull(
     coarse, known = np.ascontiguousarray(coarse), np.ascontiguousarray(known)
     assert values.flags.c_contiguous
     _function("pull")(
-        coarse.ctypes.data, *coarse.shape, first_row, first_col, *values.shape,
-        known.ctypes.data, values.ctypes.data,
+        address(coarse), *coarse.shape, first_row, first_col, *values.shape,
+        address(known), address(values),
     )  # fmt: skip
 
 
@@ -107,8 +116,8 @@ def dequantize_integers(
     made = out if out.flags.c_contiguous and out.dtype.isnative else np.empty_like(out, order="C")
     made = made.view(made.dtype.newbyteorder("=")) if made is not out else out
     _function("dequantise")(
-        _TYPES[made.dtype], quanta.ctypes.data, quanta.size, numerator, denominator, base, low,
-        high, made.ctypes.data,
+        _TYPES[made.dtype], address(quanta), quanta.size, numerator, denominator, base, low,
+        high, address(made),
     )  # fmt: skip
     if made is not out:
         out[:] = made
@@ -128,7 +137,7 @@ def range_and_error(
     """Do as `block_stats.range_and_error`, of contiguous arrays."""
     found = (_INT * 3)()
     _function("range_and_error")(
-        originals.ctypes.data, mask.ctypes.data, decoded.ctypes.data, originals.shape[1],
+        address(originals), address(mask), address(decoded), originals.shape[1],
         decoded.shape[1], first_row, first_col, n_rows, n_cols, found,
     )  # fmt: skip
     low, high, error = found
@@ -142,8 +151,8 @@ def largest_deviation(
 ) -> int:  # fmt: skip
     """Do as `block_stats.largest_deviation`, of contiguous arrays."""
     job = _Deviation(
-        heights.ctypes.data, originals.ctypes.data, mask.ctypes.data, *heights.shape,
-        *originals.shape, shift, first_row, first_col, n_places, lowest, lines.ctypes.data,
+        address(heights), address(originals), address(mask), *heights.shape,
+        *originals.shape, shift, first_row, first_col, n_places, lowest, address(lines),
     )  # fmt: skip
     found: int = _function("largest_deviation")(ctypes.byref(job), lines.dtype == np.int32)
     return found

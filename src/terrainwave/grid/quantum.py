@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.coding.native_library import is_used
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.steps import FixedSteps
@@ -145,15 +146,16 @@ class Quantizer:
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         is_whole = np.dtype(self.dtype).kind in "iu" and self.rho == 0
-        if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8:
+        in_c = is_used()
+        if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8 and not in_c:
             # Needs no compiled kernel.
             wide = np.int32 if raw.dtype.itemsize < 4 and abs(base) < _LARGE else np.int64
             np.subtract(raw, base, out=quanta, dtype=wide, casting="unsafe")
             if not valid.all():
                 quanta *= valid
             return quanta
-        # Kernels are compiled only for contiguous arrays.
-        raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
+        if not in_c:  # kernels are compiled only for contiguous arrays
+            raw, valid = np.ascontiguousarray(raw), np.ascontiguousarray(valid)
         if is_whole:
             convert.quantize_integers(raw, valid, self.numerator, base, quanta)
         else:

@@ -302,7 +302,9 @@ class TreeEncoder:
     ) -> None:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
         grid = self.grid
-        heights = decoded.heights[spec.core.slices_in(spec.region)]
+        # Kernels take contiguous arrays: copied once.
+        originals, mask = np.ascontiguousarray(originals), np.ascontiguousarray(mask)
+        heights = np.ascontiguousarray(decoded.heights[spec.core.slices_in(spec.region)])
         by_block: Stats = {}
         whole = BlockStats()
         for block in grid.key_blocks(start.key):

@@ -121,7 +121,7 @@ def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> 
     core = np.flatnonzero(core_taps(plane))
     flat, valid = windows.ravel(), None if masks.all() else masks.ravel()
     at = [_places(plane, windows.shape, depth, _WANTED[which]) for depth in CLASS_DEPTHS[which]]
-    values = np.zeros((sum(len(places) for places, _ in at), MOST_TAPS + 1))
+    values = np.empty((sum(len(places) for places, _ in at), MOST_TAPS + 1))
     n_found = 0
     for depth, (places, _) in zip(CLASS_DEPTHS[which], at, strict=True):
         more = gather_at(places, in_flat << depth, core, flat, valid, step, values[n_found:])
@@ -155,7 +155,7 @@ def gather_at(
     if valid is not None:
         near = near[valid.take(near).all(1)]
     heights, found, n_taps = flat.take(near), values[: len(near)], len(offsets) - 1
-    found[:, :n_taps], found[:, MOST_TAPS] = heights[:, :n_taps], heights[:, n_taps]
+    found[:, :n_taps], found[:, n_taps:] = heights[:, :n_taps], heights[:, n_taps:]
     first, second, third, fourth = found[:, core].T
     # Quarters of quanta, so that no sum is rounded.
     found -= (0.25 * (first + second + third + fourth))[:, None]

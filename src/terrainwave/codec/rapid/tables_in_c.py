@@ -4,19 +4,19 @@ As `fit_stencils`, `fit_weights` and `file_tables` do it.
 """
 
 import ctypes
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.in_c import INT, POINTER, call, library
+from terrainwave.codec.in_c import INT, POINTER, call, function
 from terrainwave.codec.planes import MAX_WEIGHT, WHOLE
 from terrainwave.codec.rapid import fit_stencils, fit_weights
 from terrainwave.codec.rapid.file_tables import MOST_TAPS, N_FEATURES
 from terrainwave.codec.rapid.fit_stencils import Reals
 from terrainwave.codec.rapid.symbols import N_CLASSES, SINGLES
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.coding.native_library import address
 from terrainwave.coding.rangecoder import Coder
 
 _ARRAYS = (
@@ -50,14 +50,14 @@ def code_tables(coder: Coder, *arrays: Any) -> tuple[int, int]:
     known = {name: np.ascontiguousarray(array, dtype=np.int64) for name, array in numbers.items()}
     assert all(known[name] is numbers[name] for name in _ARRAYS[:5])  # filled in place
     job = _Job(
-        size=ctypes.sizeof(_Job), state=coder.state.ctypes.data, stream=coder.stream.ctypes.data,
-        n_stream=len(coder.stream), models=coder.models.ctypes.data,
+        size=ctypes.sizeof(_Job), state=address(coder.state), stream=address(coder.stream),
+        n_stream=len(coder.stream), models=address(coder.models),
         is_encoder=coder.is_encoder is not None, n_stencils=len(known["stencils"]),
         n_planes=len(known["tap_kinds"]), n_taps=known["tap_kinds"].shape[1],
         n_weights=len(known["weights"]), n_features=known["weights"].shape[1],
         n_tables=len(known["is_own"]), most_symbols=known["codes"].shape[1], n_classes=N_CLASSES,
         singles=SINGLES, max_weight=MAX_WEIGHT,
-        **{name: array.ctypes.data for name, array in known.items()},
+        **{name: address(array) for name, array in known.items()},
     )  # fmt: skip
     call("twz_python_code_tables", ctypes.byref(job))
     return job.status, job.which
@@ -95,9 +95,8 @@ class _Gathering(ctypes.Structure):
     ]
 
 
-@cache
 def _function(name: str) -> Any:
-    return library().plain(f"twz_python_{name}", _RESULTS.get(name), *_SIGNATURES[name])
+    return function(f"twz_python_{name}", _RESULTS.get(name), *_SIGNATURES[name])
 
 
 def _address(array: NDArray[Any], dtype: Any, *shape: int) -> int:
@@ -105,7 +104,7 @@ def _address(array: NDArray[Any], dtype: Any, *shape: int) -> int:
     assert array.dtype == dtype
     assert array.shape == shape
     assert array.flags.c_contiguous
-    return int(array.ctypes.data)
+    return address(array)
 
 
 def gather_at(
@@ -137,7 +136,7 @@ def _rows(values: Reals) -> tuple[int, int, int]:
     assert values.dtype == np.float64
     assert (n_columns, n % _BLOCK, values.strides[1]) == (MOST_TAPS + 1, 0, values.itemsize)
     assert rest == 0 < every
-    return values.ctypes.data, n, every
+    return address(values), n, every
 
 
 def _sets(weights: NDArray[np.int64]) -> tuple[Reals, int, int, float]:
@@ -150,7 +149,7 @@ def _sets(weights: NDArray[np.int64]) -> tuple[Reals, int, int, float]:
 def errors_of(values: Reals, weights: NDArray[np.int64]) -> Reals:
     """Do as `fit_stencils.errors_of`."""
     (sets, *units), errors = _sets(weights), np.empty((len(weights), len(values)))
-    _function("errors_of")(*_rows(values), sets.ctypes.data, *units, errors.ctypes.data)
+    _function("errors_of")(*_rows(values), address(sets), *units, address(errors))
     return errors
 
 
@@ -159,9 +158,9 @@ def sums_of_bits(values: Reals, weights: NDArray[np.int64], noises: Reals) -> ND
     (sets, *units), sums = _sets(weights), np.zeros(len(weights), dtype=np.int64)
     noises, memory = np.ascontiguousarray(noises), np.empty((len(weights), _BLOCK))
     _function("sums_of_bits")(
-        *_rows(values), sets.ctypes.data, *units, _address(noises, np.float64, len(weights)),
+        *_rows(values), address(sets), *units, _address(noises, np.float64, len(weights)),
         fit_stencils.MOST_SQUARED,
-        memory.ctypes.data, sums.ctypes.data,
+        address(memory), address(sums),
     )  # fmt: skip
     return sums
 
@@ -171,7 +170,7 @@ def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
     products = np.empty((MOST_TAPS, MOST_TAPS + 1))
     shift = _function("products_of")(
         *_rows(values), _address(roots, np.float64, len(values)), fit_stencils.MOST_SCALED_BITS,
-        products.ctypes.data,
+        address(products),
     )  # fmt: skip
     return products, shift
 
@@ -179,8 +178,8 @@ def products_of(values: Reals, roots: Reals) -> tuple[Reals, int]:
 def solve(systems: Reals) -> Reals:
     """Do as `fit_stencils.solve`."""
     n, solutions = len(systems), np.empty(systems.shape[:2])
-    address = _address(systems, np.float64, n, MOST_TAPS, MOST_TAPS + 1)
-    _function("solve")(address, n, solutions.ctypes.data)
+    at = _address(systems, np.float64, n, MOST_TAPS, MOST_TAPS + 1)
+    _function("solve")(at, n, address(solutions))
     return solutions
 
 
@@ -193,7 +192,7 @@ def rows_of(
     n, arrays = len(details), [np.ascontiguousarray(own) for own in (features, details, is_coded)]
     found = _function("rows_of")(
         _address(arrays[0], np.int32, N_FEATURES - 1, n), _address(arrays[1], np.int32, n),
-        _address(arrays[2], np.bool_, n), n, every, unit, rows.shape[1], rows.ctypes.data,
+        _address(arrays[2], np.bool_, n), n, every, unit, rows.shape[1], address(rows),
     )  # fmt: skip
     return rows[:, :found]
 
@@ -206,6 +205,6 @@ def weighed_products(rows: Reals, weights: Reals) -> Reals:
     _function("weighed_products")(
         _address(rows, np.float64, N_FEATURES + 1, n), n,
         _address(weights, np.float64, N_FEATURES), fit_weights.LEAST_EXPECTED,
-        fit_weights.SCALED_BITS, parts.ctypes.data, products.ctypes.data,
+        fit_weights.SCALED_BITS, address(parts), address(products),
     )  # fmt: skip
     return products

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call, library, padded
+from terrainwave.codec.in_c import ENCODERS, INT, POINTER, Owned, call, function, padded
 from terrainwave.codec.memory import flat, new_heights
 from terrainwave.codec.rapid.details import LEAST_CUT, MOST_CUT
 from terrainwave.codec.rapid.layout import HH, HL, LH, plane_shape
@@ -25,6 +25,7 @@ from terrainwave.codec.refiner import (
     Raw,
     Rows,
 )
+from terrainwave.coding.native_library import address
 from terrainwave.forks import renew_after_fork
 
 _MOST_TABLES = 8  # Python's have 2 MB each
@@ -86,7 +87,7 @@ def _new_tables(tables: Tables, *, is_read: bool) -> Owned:
     ]
     return Owned(
         "twz_python_tables_new", "twz_python_tables_free", tables.k_max, tables.frequencies.cut,
-        is_read, *(array.ctypes.data for array in arrays),
+        is_read, *(address(array) for array in arrays),
     )  # fmt: skip
 
 
@@ -124,7 +125,7 @@ def decode_into(
     if rows == ALL_ROWS or parent is None:
         job, arrays = _new_job(spec, parent, None, mask, corrections)
         data = padded(payload)
-        job.payload, job.n_payload = data.ctypes.data, len(payload)
+        job.payload, job.n_payload = address(data), len(payload)
         tables = _TABLES.of(coder.tables(job.step), is_read=True)
         try:
             with ENCODERS.lent() as decoder:
@@ -151,12 +152,12 @@ def count(
     """Do as `UnitCoder.count`."""
     job, arrays = _new_job(spec, parent, target, mask, NO_CORRECTIONS)
     assert counts.flags.c_contiguous
-    job.counts = counts.ctypes.data
+    job.counts = address(counts)
     keep, shapes = coder.keep, _lattices(spec, parent)
     if keep is not None:
         sizes = [_N_SEEN * n_rows * n_cols for _, shape in shapes for *_, n_rows, n_cols in shape]
         seen = np.empty(sum(sizes), dtype=np.int32)
-        job.seen = seen.ctypes.data
+        job.seen = address(seen)
     with ENCODERS.lent() as encoder:
         _run(encoder, coder, job)
     if keep is not None:
@@ -180,13 +181,13 @@ def count_seen(
     details, is_coded = np.ascontiguousarray(details), np.ascontiguousarray(is_coded)
     weights = np.ascontiguousarray(weights, dtype=np.int32)
     assert all(array.flags.c_contiguous for array in counts)
-    do = library().plain(
+    do = function(
         "twz_python_count_seen", None, *(POINTER,) * 3, ctypes.c_size_t, POINTER, INT, INT,
         *(POINTER,) * 3,
     )  # fmt: skip
     do(
-        features.ctypes.data, details.ctypes.data, is_coded.ctypes.data, len(details),
-        weights.ctypes.data, LEAST_CUT, MOST_CUT, *(array.ctypes.data for array in counts),
+        address(features), address(details), address(is_coded), len(details),
+        address(weights), LEAST_CUT, MOST_CUT, *(address(array) for array in counts),
     )  # fmt: skip
 
 
@@ -222,23 +223,23 @@ def _new_job(
     job = _Job(
         size=ctypes.sizeof(_Job), level=spec.level, step=spec.step, z_min=spec.z_min,
         z_max=spec.z_max, n_rows=out.shape[0], n_cols=out.shape[1], shared=tuple(spec.shared),
-        out=out.ctypes.data,
+        out=address(out),
     )  # fmt: skip
     if target is not None:
         arrays.append(np.ascontiguousarray(target, dtype=np.int32))
-        job.target = arrays[-1].ctypes.data
+        job.target = address(arrays[-1])
     if parent is not None:
         source, job.parent_stride = flat(parent)
-        job.parent, (job.parent_rows, job.parent_cols) = source.ctypes.data, parent.shape
+        job.parent, (job.parent_rows, job.parent_cols) = address(source), parent.shape
         arrays.append(source)
     if mask is not None:
         valid = np.ascontiguousarray(mask)
-        job.valid = valid.ctypes.data
+        job.valid = address(valid)
         arrays.append(valid)
     if corrections.added.size:
         kept = np.ascontiguousarray(corrections.kept, dtype=np.int32)
         assert corrections.added.flags.c_contiguous
-        job.kept, job.added = kept.ctypes.data, corrections.added.ctypes.data
+        job.kept, job.added = address(kept), address(corrections.added)
         arrays += [kept, corrections.added]
     return job, arrays
 
