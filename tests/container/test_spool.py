@@ -2,7 +2,6 @@
 
 import errno
 import threading
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -106,11 +105,12 @@ def test_a_temporary_file_that_was_damaged_is_noticed(tmp_path, monkeypatch):
         list(spool.chunks([key(1)]))
 
 
+def no_space(*_, **__):
+    raise OSError(errno.ENOSPC, "no space")
+
+
 def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "terrainwave.container.spool.tempfile.TemporaryFile",
-        Mock(side_effect=OSError(errno.ENOSPC, "no space")),
-    )
+    monkeypatch.setattr("terrainwave.container.spool.tempfile.TemporaryFile", no_space)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
     with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; free space"):
         filled(tmp_path)
