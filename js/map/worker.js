@@ -15,7 +15,7 @@ import "../src/errors.js";
 import "./places.js";
 import "./surfaces.js";
 import { open } from "../src/index.js";
-import { Mailbox } from "../src/mailbox.js";
+import { Mailbox, answer } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
 import { heightmap, sampledGrid } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
@@ -28,14 +28,9 @@ const globes = new Map(); // by `keyOf`: promises
 const brought = new Map(); // by name: sources whose bytes the page brings
 
 function bring({ name, size, port }) {
-  const mailbox = new Mailbox(({ message }) => new Error(message));
+  const mailbox = new Mailbox(port);
   port.onmessage = ({ data }) => mailbox.settle(data);
-  const read = (start, end) => {
-    const { id, answer } = mailbox.ask(null);
-    port.postMessage({ id, start, end });
-    return answer;
-  };
-  brought.set(name, { size, read });
+  brought.set(name, { size, read: async (start, end) => (await mailbox.ask({ start, end }))[0] });
 }
 
 /** Terrains of two folders may have the same name. */
@@ -126,20 +121,8 @@ const WORK = {
   },
 };
 
-self.onmessage = async ({ data }) => {
+self.onmessage = ({ data }) => {
   const { id, terrain, what, args } = data;
-  if (data.brought) {
-    bring(data.brought);
-    return;
-  }
-  try {
-    const globe = await openGlobe(terrain);
-    const found = await WORK[what](globe, keyOf(terrain), ...args);
-    // What can be moved is not copied.
-    const moved = Object.values(found ?? {}).map((value) => (ArrayBuffer.isView(value) ? value.buffer : value))
-      .filter((value) => value instanceof ArrayBuffer || value instanceof ImageBitmap);
-    self.postMessage({ id, found }, moved);
-  } catch (error) {
-    self.postMessage({ id, error: { name: error.name, message: error.message } });
-  }
+  if (data.brought) bring(data.brought);
+  else answer(self, id, async () => WORK[what](await openGlobe(terrain), keyOf(terrain), ...args));
 };

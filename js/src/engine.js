@@ -65,9 +65,9 @@ export class Engine {
 
   /**
    * Call `what` of the decoder until nothing is missing. A window is begun anew after each wait:
-   * meanwhile others may have decoded its units, or the decoder may have broken off.
+   * meanwhile others may have decoded its units, or the decoder may have broken off. `take`: see `Core.read`.
    */
-  async #ask(what, place, fetch, take) {
+  async ask(what, place, fetch, take) {
     const held = [{ start: 0, bytes: this.#start }];
     for (;;) {
       const { core } = await this.#opened(fetch);
@@ -77,25 +77,10 @@ export class Engine {
     }
   }
 
-  /** Call `take` with the heights and the validity of some rows of a window after others: see `Core.read`. */
-  read(place, fetch, take) {
-    return this.#ask("read", place, fetch, take);
-  }
-
   /** Give the memory back; nothing can be read any more. */
   async close() {
     const opened = await this.#core?.catch(() => null);
     opened?.core.end();
-  }
-
-  /** Return the error of a block in raw units. */
-  blockError(place, fetch) {
-    return this.#ask("blockError", place, fetch);
-  }
-
-  /** Return the root that the file states, or null. */
-  statedRoot(fetch) {
-    return this.#ask("statedRoot", null, fetch);
   }
 
   /** Return a digest of what is decoded: `what` is digest or rootOf of the decoder. */

@@ -206,7 +206,7 @@ export class Terrain {
     const isSmall = n < FEWEST_UNITS_FOR_WORKERS || (!this.#pool && nRows * nCols < fewestSamples);
     const pool = isSmall ? null : await this.#workers();
     if (!pool) {
-      const read = (place, _, take) => engine.read(place, fetch, take);
+      const read = (place, _, take) => engine.ask("read", place, fetch, take);
       if (nRows * nCols <= MOST_AT_ONCE) side = Infinity;
       return Object.assign(read, { side, nAtOnce: PARTS_AT_ONCE });
     }
@@ -291,13 +291,13 @@ export class Terrain {
       throw new ArgumentError(`there is no block ${row}, ${col} on level ${level}`);
     }
     const { engine, fetch } = this.#given;
-    return (await engine.blockError(place, fetch)) * Math.abs(this.scale);
+    return (await engine.ask("blockError", place, fetch)) * Math.abs(this.scale);
   }
 
   /** Return the root of the file's digests as it states it, which nothing is compared with; null without digests. */
   async statedRoot() {
     const { engine, fetch } = this.#given;
-    return engine.statedRoot(fetch);
+    return engine.ask("statedRoot", null, fetch);
   }
 
   /** Return the digest of a tile, { heights, valid, nRows, nCols }: 512 x 512 samples, fewer at the last ones. */
