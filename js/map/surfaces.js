@@ -12,6 +12,16 @@ export function without(values, n, margin) {
   return found;
 }
 
+/** Return every second value of every second row of a grid of n x n, n odd. */
+export function everySecond(values, n) {
+  const side = (n + 1) / 2;
+  const found = new Float64Array(side * side);
+  for (let i = 0; i < side; i++) {
+    for (let j = 0; j < side; j++) found[i * side + j] = values[2 * i * n + 2 * j];
+  }
+  return found;
+}
+
 /** Return heights that reach `times` samples into NaN: there, the mean of known neighbours. */
 export function growInto(heights, n, times) {
   const to = heights.slice();

@@ -5,7 +5,7 @@
  * terrarium: height = -32768 + R * 256 + G + B / 256 (Mapzen Terrarium)
  */
 
-import { growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
+import { everySecond, growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
 
 export const TILE_SIZE = 256;
 /** Voids lie this many metres below the terrain's lowest height: the format has none. */
@@ -54,10 +54,7 @@ export async function rgbTile(globe, z, x, y, rim = 0, look = {}) {
   if (surface === null) return null;
   const { heights, n, level, window } = surface;
   const nPixels = TILE_SIZE + 2 * rim;
-  const centres = new Float64Array(nPixels * nPixels);
-  for (let i = 0; i < nPixels; i++) {
-    for (let j = 0; j < nPixels; j++) centres[i * nPixels + j] = heights[2 * i * n + 2 * j];
-  }
+  const centres = everySecond(heights, n);
   const pixels = drawn(globe, centres, rim, look);
   if (pixels === null) return null;
   const inner = without(centres, nPixels, rim);

@@ -17,7 +17,7 @@ import "./surfaces.js";
 import { open } from "../src/index.js";
 import { Mailbox, answer } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
-import { heightmap, sampledGrid } from "./heightmap.js";
+import { heightmap, sampledRectangle } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
 import {
   TILE_SIZE, latitudeOf, longitudeOf, rgbPixels, rgbTile, spacingOf, voidPixels, voidsOf,
@@ -89,9 +89,7 @@ const WORK = {
     }
     return { image: await picture(pixels) };
   },
-  async heightmap(globe, _key, z, x, y, size) {
-    return heightmap(globe, z, x, y, size);
-  },
+  heightmap: (globe, _key, ...tile) => heightmap(globe, ...tile),
   /** Heights at pixels of a rectangle of the Web Mercator world, 0 to 1 across and down, and metres of a pixel. */
   async plan(globe, _key, [left, top, right, bottom], nCols, nRows) {
     const between = (first, last, n) =>
@@ -102,16 +100,10 @@ const WORK = {
     const { heights } = await globe.heightsAt(globe.places.toSamples(lon, lat), globe.levelFor(spacing));
     return { heights, spacing };
   },
-  async mesh(globe, _key, z, x, y, size) {
-    return gridMesh(globe, z, x, y, size);
-  },
+  mesh: (globe, _key, ...tile) => gridMesh(globe, ...tile),
   /** n x n heights of a part of the map, [west, south, east, north], and their errors as `heightmap` has them. */
-  async surface(globe, _key, [west, south, east, north], n) {
-    const share = Array.from({ length: 2 * n - 1 }, (_, i) => i / (2 * n - 2));
-    const spacing = ((north - south) / (n - 1) / 180) * Math.PI * globe.axis;
-    const { known, error, terrainError } = await sampledGrid(
-      globe, share.map((at) => west + at * (east - west)), share.map((at) => north - at * (north - south)), n, spacing,
-    );
+  async surface(globe, _key, bounds, n) {
+    const { known, error, terrainError } = await sampledRectangle(globe, bounds, n);
     return { known, error, terrainError };
   },
   async height(globe, _key, lon, lat) {

@@ -8,7 +8,8 @@ import { promisify } from "node:util";
 
 import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
 import { WorkerPool } from "../src/workers.js";
-import { GOLDEN, Parts, digests, golden } from "../testing/files.js";
+import { GOLDEN, Parts, golden } from "../testing/files.js";
+import { digests } from "../testing/levels.js";
 
 const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-float32-fills",
   "rapid-int16-mask", "cdf97-int16-halves", "cdf53-int16-tiles"];

@@ -1,32 +1,15 @@
 /** Golden files, and files made of them. */
 
-import { createHash, randomBytes } from "node:crypto";
+import { randomBytes } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { deflateRawSync, deflateSync, inflateSync } from "node:zlib";
 
-import { crc32, fileOrder, keysOf, lengthsOf } from "./format.js";
+import { crc32 } from "../site/files.js";
+import { fileOrder, keysOf, lengthsOf } from "./format.js";
 
 export const GOLDEN = new URL("../../tests/golden/v2/", import.meta.url);
 
 export const golden = (name) => readFile(new URL(`${name}.twz`, GOLDEN));
-
-const digest = (array) => createHash("sha256").update(array).digest("hex");
-
-/** Return size and digests of a level, as tests/golden/README.md defines them. */
-export async function digestOfLevel(terrain, level) {
-  const { heights, valid, nRows, nCols } = await terrain.read(level, {}, { voids: "any" });
-  const found = { rows: nRows, cols: nCols, heights: digest(heights), mask: digest(valid) };
-  if (!terrain.hasVoids) return found;
-  const exact = await terrain.read(level, {}, { voids: "exact" });
-  return { ...found, own: digest(exact.valid) };
-}
-
-/** Return those of all levels. */
-export async function digests(terrain) {
-  const levels = [];
-  for (let k = 0; k < terrain.nLevels; k++) levels.push(await digestOfLevel(terrain, k));
-  return levels;
-}
 
 /** The parts of a file of one segment, and a file of parts with all lengths and checksums mended. */
 export class Parts {
