@@ -25,7 +25,7 @@ export function everySecond(values, n) {
 /** Return heights that reach `times` samples into NaN: there, the mean of known neighbours. */
 export function growInto(heights, n, times) {
   const to = heights.slice();
-  // What one round fills is used by the next one only, which fills what lies beside it.
+  // Heights of one round are used by the next one only, which fills the places beside them.
   let wanted = [];
   for (let at = 0; at < to.length && times > 0; at++) if (Number.isNaN(to[at])) wanted.push(at);
   for (let time = 0; time < times && wanted.length > 0; time++) {

@@ -11,7 +11,7 @@ export const TILE_SIZE = 256;
 /** Voids lie this many metres below the terrain's lowest height: the format has none. */
 export const VOID_DEPTH = 1;
 const MAX_LATITUDE = (Math.atan(Math.sinh(Math.PI)) * 180) / Math.PI;
-/** How pixels stand for heights, metres: that of code 0, and from one code to the next. */
+/** Encodings of heights in pixels, metres: that of code 0, and from one code to the next. */
 export const ENCODINGS = {
   mapbox: { lowest: -10000, step: 0.1 },
   terrarium: { lowest: -32768, step: 1 / 256 },

@@ -1,6 +1,6 @@
 /** Makes tiles in a thread of its own: messages { id, terrain, what, args } are answered by id. */
 
-// What others import below, the largest first: all comes at once, not one after another.
+// Imports of the modules below, the largest first: all comes at once, not one after another.
 import "../src/core-data.js";
 import "../src/url.js";
 import "../src/terrain.js";
@@ -47,7 +47,7 @@ function openGlobe(terrain) {
   return globes.get(key);
 }
 
-/** What was made last, by place: heights and voids of a tile are asked for apart. */
+/** The newest answers, by place: heights and voids of a tile are asked for apart. */
 const made = new Map();
 
 function madeOnce(make, key, globe, ...args) {

@@ -1,5 +1,5 @@
 /**
- * What the page is told in a notebook, where it runs in a frame of widget.js: the terrain, the camera
+ * Answers to the page in a notebook, where it runs in a frame of widget.js: the terrain, the camera
  * and the window that the kernel has. It has the place of the page's host.js.
  */
 

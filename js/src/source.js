@@ -1,4 +1,4 @@
-/** Where bytes come from: memory, a File or Blob, a URL by range requests, or the caller's own. */
+/** Sources of bytes: memory, a File or Blob, a URL by range requests, or the caller's own. */
 
 import { ArgumentError, SourceError } from "./errors.js";
 import { UrlSource } from "./url.js";

@@ -23,7 +23,7 @@ const PARTS_AT_ONCE = 3;
 const FEWEST_UNITS_FOR_WORKERS = 3;
 /** Meanings of the numbers, by FORMAT.md §4.2. */
 const KINDS = ["height", "depth", "radius"];
-/** Where nobody asked for workers, they start with a window that takes longer than they need to start. */
+/** Workers that nobody asked for start with a window that takes longer than they need to start. */
 const FEWEST_SAMPLES_TO_START = 2 ** 21;
 
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */

@@ -1,4 +1,4 @@
-/** What tests know of the format, to make files out of parts of others: FORMAT.md §1.3, §3, §4.1. */
+/** Parts of the format that tests know, to make files out of parts of others: FORMAT.md §1.3, §3, §4.1. */
 
 /** Return the lengths of metadata, parameters and top page that a header states. */
 export function lengthsOf(bytes) {

@@ -1,4 +1,4 @@
-/** What a terrain decodes to, in Node and in browsers alike. */
+/** Digests of what a terrain decodes to, in Node and in browsers alike. */
 
 const { subtle } = globalThis.crypto ?? (await import("node:crypto")).webcrypto; // Node 18
 

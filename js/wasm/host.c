@@ -1,5 +1,5 @@
 /*
- * What js/src/core.js calls: one file in an instance, and one window at a time. Functions return a twz_status, those
+ * Functions that js/src/core.js calls: one file in an instance, and one window at a time. They return a twz_status, those
  * with `need` in their name the number of ranges, or a status less than 0. Sizes and offsets are doubles, which
  * hold them exactly: no BigInt crosses.
  */

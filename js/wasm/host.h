@@ -1,4 +1,4 @@
-/* What host.c and root.c share: the file of the instance, and what JavaScript gave and is told. */
+/* State that host.c and root.c share: the file of the instance, the bytes that JavaScript gave, the numbers that it is told. */
 #ifndef HOST_H
 #define HOST_H
 

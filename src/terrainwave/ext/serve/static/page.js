@@ -31,7 +31,7 @@ let map = null;
 let generation = 0; // of the terrain that is shown
 let styled = 0; // the generation whose style the map has
 
-// What the page says of itself: waiting, complete or failed.
+// State of the page: waiting, complete or failed.
 
 function tell(condition, message = "") {
   document.body.dataset.state = condition;
