@@ -7,22 +7,18 @@ import { Core } from "./core.js";
 import { SourceError } from "./errors.js";
 
 export class Engine {
-  #module;
-  #size;
-  #start; // bytes from the file's first on
-  #cacheBytes;
+  #file;
   #core = null; // a promise
 
-  constructor({ module, size, start, cacheBytes }) {
-    this.#module = module;
-    this.#size = size;
-    this.#start = start;
-    this.#cacheBytes = cacheBytes;
+  /** `file` has the decoder's module, size, start (bytes from the file's first on) and cacheBytes. */
+  constructor(file) {
+    this.#file = file;
   }
 
   async #open(fetch) {
-    const core = await Core.start(this.#module, this.#size, this.#cacheBytes);
-    const held = [{ start: 0, bytes: this.#start }];
+    const { module, size, start, cacheBytes } = this.#file;
+    const core = await Core.start(module, size, cacheBytes);
+    const held = [{ start: 0, bytes: start }];
     try {
       for (;;) {
         const missing = core.open(held);
@@ -68,7 +64,7 @@ export class Engine {
    * meanwhile others may have decoded its units, or the decoder may have broken off. `take`: see `Core.read`.
    */
   async ask(what, place, fetch, take) {
-    const held = [{ start: 0, bytes: this.#start }];
+    const held = [{ start: 0, bytes: this.#file.start }];
     for (;;) {
       const { core } = await this.#opened(fetch);
       const { missing, found } = core[what](place, held, take);

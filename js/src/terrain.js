@@ -92,12 +92,6 @@ export class Terrain {
     return found;
   }
 
-  #checkVoids(voids) {
-    if (voids !== "exact" && voids !== "any") {
-      throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
-    }
-  }
-
   /** Return { nRows, nCols } of a level. */
   shape(level = -1) {
     const step = 2 ** (this.nLevels - 1 - this.#level(level));
@@ -143,7 +137,7 @@ export class Terrain {
     const { maxSamples, signal } = this.#given;
     if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
-    this.#checkVoids(voids);
+    if (voids !== "exact" && voids !== "any") throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
     const place = this.#cut(found, window ?? {});
     const { nRows, nCols } = place;
     if (nRows * nCols > maxSamples) {
