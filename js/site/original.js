@@ -12,7 +12,7 @@ const IS_MASK = 4; // of NewSubfileType
 const IS_POINT = 2; // of GTRasterTypeGeoKey
 const SIZES = [8, 16, 32, 64];
 /** Rows of an uncompressed strip that are read at once, and bytes of another strip or tile, which is decoded as a whole. */
-const [ROWS_AT_ONCE, MOST_DECODED] = [512, 2 ** 27];
+const [ROWS_AT_ONCE, MOST_DECODED] = [512, 100 * 2 ** 20];
 /** Names of Compression that geotiff.js reads as GDAL writes them. */
 const COMPRESSIONS = { 1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 50000: "ZSTD" };
 const TAGS = { StripOffsets: 273, RowsPerStrip: 278, StripByteCounts: 279 };

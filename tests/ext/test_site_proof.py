@@ -282,7 +282,7 @@ def test_a_compressed_strip_too_large_to_be_decoded_as_a_whole_is_refused(tmp_pa
     twz = compressed(tmp_path, write_raster(tmp_path / "small.tif", hills(90, 120), BOUNDS), 3)
     packed, plain = (found["error"] for found in compared(twz, *sources.values()))
     assert packed == (
-        "found a GeoTIFF of strips of 12000 x 12000 samples, expected at most 128 MiB in each:"
+        "found a GeoTIFF of strips of 12000 x 12000 samples, expected at most 100 MiB in each:"
         " convert it with gdal_translate -co TILED=YES, and choose the new file"
     )
     assert plain.startswith("found a GeoTIFF of 12000 rows x 12000 columns, expected 90 rows")
