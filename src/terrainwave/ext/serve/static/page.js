@@ -289,13 +289,13 @@ function connect() {
   element("fly").addEventListener("click", fly);
   element("home").addEventListener("click", () => home(state.terrain));
   element("again").addEventListener("click", () => show(state.terrain, {}));
-  const choose = (id, what, chosen) => element(id).addEventListener("input", ({ target }) => {
-    state[what] = chosen(target);
+  const choose = (id, event, chosen) => element(id).addEventListener(event, ({ target }) => {
+    state[id] = chosen(target);
     apply();
   });
-  choose("times", "times", ({ value }) => Number(value));
-  choose("colours", "colours", ({ value }) => value);
-  choose("shaded", "shaded", ({ checked }) => checked);
+  choose("times", "input", ({ value }) => Number(value));
+  choose("colours", "change", ({ value }) => value);
+  choose("shaded", "change", ({ checked }) => checked);
   element("terrain").addEventListener("change", ({ target }) => {
     show(terrains.find(({ name }) => name === target.value));
   });
