@@ -46,10 +46,9 @@ PAGE = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script src="js/testing/node_modules/geotiff/dist-browser/geotiff.js"></script>
 <script type="module">
   import * as terrainwave from "./js/src/index.js";
+  import { digestOf } from "./js/testing/levels.js";
   import { sides } from "./js/testing/side.js";
-  const hex = (bytes) => Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
-  const digest = async (array) => hex(new Uint8Array(await crypto.subtle.digest("SHA-256", array)));
-  const timed = sides(terrainwave, GeoTIFF, digest);
+  const timed = sides(terrainwave, GeoTIFF, digestOf);
   let [name, bytes] = [null, null]; // the file that was read last
   globalThis.side = async ({ url, path, ...question }) => {
     if (path && path !== name) [name, bytes] = [path, await (await fetch(path)).arrayBuffer()];
@@ -118,7 +117,10 @@ def make_files(raster: Path, bound: float, folder: Path) -> dict[str, Path]:
 
 
 def seconds_of(ask: Ask, path: Path, window: Window, workers: int, place: dict[str, str]) -> float:
-    """Return what one read takes of a file at a `place`, its path or URL, if it is right."""
+    """Return what one read takes of a file at a `place`, its path or URL, if it is right.
+
+    A `clock` in `place` is "clock" or "processor".
+    """
     question = {
         "who": "terrainwave" if path.suffix == ".twz" else "geotiff", "workers": workers, **place,
         "window": {

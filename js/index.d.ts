@@ -35,17 +35,20 @@ export interface OpenOptions {
   blocks?: boolean;
 }
 
-/** In samples of a level. */
-export interface Window {
-  row: number;
-  col: number;
+export interface Shape {
   nRows: number;
   nCols: number;
 }
 
+/** In samples of a level. */
+export interface Window extends Shape {
+  row: number;
+  col: number;
+}
+
 export interface ReadOptions {
   /**
-   * Which samples of a coarse level are void: "exact", where the full grid is; "any", those alone
+   * Rule for void samples of a coarse level: "exact", where the full grid is; "any", those alone
    * around which nothing is valid. Default: exact.
    */
   voids?: "exact" | "any";
@@ -57,11 +60,6 @@ export interface Read extends Window {
   heights: Heights;
   /** 1 where a sample is valid, else 0. */
   valid: Uint8Array;
-}
-
-export interface Shape {
-  nRows: number;
-  nCols: number;
 }
 
 export function open(
@@ -94,7 +92,7 @@ export class Terrain {
   readonly metadata: Readonly<Record<string, unknown>>;
   readonly crs: string | null;
   readonly units: string | null;
-  /** What heights are where the file says it: depths go down, radii count from the body's centre. */
+  /** Meaning of the heights where the file says it: depths go down, radii count from the body's centre. */
   readonly heightsAre: "height" | "depth" | "radius" | null;
   readonly scale: number;
   readonly offset: number;
@@ -103,9 +101,9 @@ export class Terrain {
   shape(level?: number): Shape;
   /** a, b, c, d, e, f: x = a·col + b·row + c, y = d·col + e·row + f at the corners of pixels. */
   transform(level?: number): [number, number, number, number, number, number];
-  /** Whether samples may be void; false: none is. */
+  /** True if samples may be void; false: none is. */
   readonly hasVoids: boolean;
-  /** What of the window lies beyond the level is cut off. */
+  /** Parts of the window beyond the level are cut off. */
   read(level?: number, window?: Partial<Window>, options?: ReadOptions): Promise<Read>;
   /** Bilinear, in physical units; NaN outside the samples and beside voids. */
   sample(x: number, y: number, options?: { level?: number } & ReadOptions): Promise<number>;

@@ -38,7 +38,7 @@ def found(path):
 
 
 def digests(path):
-    """Return size and digests of heights and mask of each level, as js/testing/files.js does."""
+    """Return size and digests of heights and mask of each level, as js/testing/levels.js does."""
     return [{key: level[key] for key in OF_LEVEL if key in level} for level in found(path)["level"]]
 
 

@@ -163,7 +163,7 @@ class Cells {
       const a = (top - row) * west.nCols + left - west.col;
       const b = (top - row) * east.nCols + right - east.col;
       const [c, d] = [a + down * west.nCols, b + down * east.nCols];
-      // Where a weight is 0, the sample does not count, valid or not.
+      // A sample of weight 0 does not count, valid or not.
       let sum = 0;
       const [ofA, ofB, ofC, ofD] = [(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u];
       if (ofA !== 0) sum = west.valid[a] ? ofA * ((west.heights[a] * scale + offset) * metres) : NaN;

@@ -1,7 +1,7 @@
 /** Height maps of tiles in longitude and latitude (TMS as Cesium counts: rows from the north). */
 
 import { VOID_DEPTH } from "./terrain-rgb.js";
-import { largestDistance } from "./surfaces.js";
+import { everySecond, largestDistance } from "./surfaces.js";
 
 /** Return west, south, east, north of a tile; there are 2 x 1 on zoom 0. */
 export function rectangleOf(z, x, y) {
@@ -26,18 +26,22 @@ export function meets([west, south, east, north], z, x, y) {
  * nothing is void; `terrainError`: how far originals can be from the latter.
  */
 export async function heightmap(globe, z, x, y, size) {
-  const [west, south, east, north] = rectangleOf(z, x, y);
+  const { known, places, ...errors } = await sampledRectangle(globe, rectangleOf(z, x, y), size);
   const n = 2 * size - 1;
-  const share = (i) => i / (n - 1);
-  const lon = Array.from({ length: n }, (_, i) => west + share(i) * (east - west));
-  const lat = Array.from({ length: n }, (_, i) => north - share(i) * (north - south));
-  const spacing = ((north - south) / (size - 1) / 180) * Math.PI * globe.axis;
-  const { known, places, ...errors } = await sampledGrid(globe, lon, lat, size, spacing);
   const ofVoids = globe.lowest - VOID_DEPTH;
   const heights = Float32Array.from(known, (height) => (Number.isNaN(height) ? ofVoids : height));
   const isInside = (at) => !Number.isNaN(places.rows[2 * Math.floor(at / size) * n + 2 * (at % size)]);
   const holes = Uint8Array.from(known, (height, at) => Number.isNaN(height) && isInside(at));
   return { heights, holes: holes.includes(1) ? holes : null, ...errors };
+}
+
+/** Return what `sampledGrid` returns of a rectangle of longitudes and latitudes, whose edges have the outer heights. */
+export function sampledRectangle(globe, [west, south, east, north], size) {
+  const share = Array.from({ length: 2 * size - 1 }, (_, i) => i / (2 * size - 2));
+  const spacing = ((north - south) / (size - 1) / 180) * Math.PI * globe.axis;
+  return sampledGrid(
+    globe, share.map((at) => west + at * (east - west)), share.map((at) => north - at * (north - south)), size, spacing,
+  );
 }
 
 /**
@@ -49,10 +53,7 @@ export async function sampledGrid(globe, lon, lat, size, spacing) {
   const n = 2 * size - 1;
   const places = globe.places.toSamples(lon, lat);
   const { heights: surface, window } = await globe.heightsAt(places, globe.levelFor(spacing));
-  const known = new Float64Array(size * size);
-  for (let i = 0; i < size; i++) {
-    for (let j = 0; j < size; j++) known[i * size + j] = Math.fround(surface[2 * i * n + 2 * j]);
-  }
+  const known = everySecond(surface, n).map(Math.fround);
   return {
     known,
     places,

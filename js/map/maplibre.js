@@ -46,7 +46,7 @@ async function tileOf({ url }, { signal }) {
   return { data: answer?.image ?? null };
 }
 
-// What pages say of a terrain may leave it out.
+// Pages may describe a terrain without it.
 const encodingOf = ({ described }) => described.encoding ?? "mapbox";
 
 /** Return a raster-dem source of a terrain, for a style; by default in the terrain's encoding. */

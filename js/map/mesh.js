@@ -5,7 +5,7 @@ import { latitudeOf, longitudeOf, spacingOf } from "./terrain-rgb.js";
 
 /** Of the world in deck.gl's common space. */
 const WORLD = 512;
-/** What is there even where a tile has no error: neighbours of other zooms differ by rounding, too. */
+/** Metres, even where a tile has no error: neighbours of other zooms differ by rounding, too. */
 const LEAST_SKIRT = 1;
 
 /**
@@ -35,7 +35,7 @@ export async function gridMesh(globe, z, x, y, size) {
     if (height < lowest) lowest = height;
     if (height > highest) highest = height;
     const [u, v] = [j / (size - 1), i / (size - 1)];
-    // What is void is in no triangle, but buffers want numbers.
+    // Voids are in no triangle, but buffers want numbers.
     const at = [((x + u) / 2 ** z) * WORLD, (1 - (y + v) / 2 ** z) * WORLD, (height || 0) - depth];
     positions.set(at, 3 * nPut);
     const east = slope(heightAt(i, j - 1), height, heightAt(i, j + 1));

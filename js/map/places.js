@@ -1,5 +1,5 @@
 /**
- * Where longitudes and latitudes lie in a raster of any coordinate reference system.
+ * Places of longitudes and latitudes in a raster of any coordinate reference system.
  *
  * `terrainwave publish` fits a polynomial to what PROJ says, and measures how far it is off: here
  * it is only evaluated. Chebyshev polynomials of both axes, coefficients by rows of latitude.

@@ -12,10 +12,20 @@ export function without(values, n, margin) {
   return found;
 }
 
+/** Return every second value of every second row of a grid of n x n, n odd. */
+export function everySecond(values, n) {
+  const side = (n + 1) / 2;
+  const found = new Float64Array(side * side);
+  for (let i = 0; i < side; i++) {
+    for (let j = 0; j < side; j++) found[i * side + j] = values[2 * i * n + 2 * j];
+  }
+  return found;
+}
+
 /** Return heights that reach `times` samples into NaN: there, the mean of known neighbours. */
 export function growInto(heights, n, times) {
   const to = heights.slice();
-  // What one round fills is used by the next one only, which fills what lies beside it.
+  // Heights of one round are used by the next one only, which fills the places beside them.
   let wanted = [];
   for (let at = 0; at < to.length && times > 0; at++) if (Number.isNaN(to[at])) wanted.push(at);
   for (let time = 0; time < times && wanted.length > 0; time++) {

@@ -5,13 +5,13 @@
  * terrarium: height = -32768 + R * 256 + G + B / 256 (Mapzen Terrarium)
  */
 
-import { growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
+import { everySecond, growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
 
 export const TILE_SIZE = 256;
 /** Voids lie this many metres below the terrain's lowest height: the format has none. */
 export const VOID_DEPTH = 1;
 const MAX_LATITUDE = (Math.atan(Math.sinh(Math.PI)) * 180) / Math.PI;
-/** How pixels stand for heights, metres: that of code 0, and from one code to the next. */
+/** Encodings of heights in pixels, metres: that of code 0, and from one code to the next. */
 export const ENCODINGS = {
   mapbox: { lowest: -10000, step: 0.1 },
   terrarium: { lowest: -32768, step: 1 / 256 },
@@ -54,10 +54,7 @@ export async function rgbTile(globe, z, x, y, rim = 0, look = {}) {
   if (surface === null) return null;
   const { heights, n, level, window } = surface;
   const nPixels = TILE_SIZE + 2 * rim;
-  const centres = new Float64Array(nPixels * nPixels);
-  for (let i = 0; i < nPixels; i++) {
-    for (let j = 0; j < nPixels; j++) centres[i * nPixels + j] = heights[2 * i * n + 2 * j];
-  }
+  const centres = everySecond(heights, n);
   const pixels = drawn(globe, centres, rim, look);
   if (pixels === null) return null;
   const inner = without(centres, nPixels, rim);

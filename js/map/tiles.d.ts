@@ -1,8 +1,8 @@
-/** What both map libraries share. */
+/** Types that all map libraries share. */
 
 import { ByteSource } from "../index.js";
 
-/** How pixels of terrain-RGB tiles stand for heights. */
+/** Encodings of heights in pixels of terrain-RGB tiles. */
 export type Encoding = "mapbox" | "terrarium";
 
 /** One terrain of a folder that `terrainwave publish` wrote; `described` is its entry. */

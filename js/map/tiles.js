@@ -1,26 +1,19 @@
 /** Tiles of terrains, made in the browser: what asks the worker, and forgets what nobody wants. */
 
-import { Mailbox } from "../src/mailbox.js";
+import { answer, mailboxOf } from "../src/mailbox.js";
 
 /** Tiles under work, a view's: what is asked for later and dropped meanwhile is never begun. */
 const AT_ONCE = 24;
 
 export class TileMaker {
   #worker;
-  #mailbox = new Mailbox(({ name, message }) => Object.assign(new Error(message), { name }));
+  #mailbox;
   #waiting = [];
-  #failure = null; // of the worker itself: there is none to ask
 
   /** @param {{ worker?: Worker }} options */
   constructor({ worker } = {}) {
     this.#worker = worker ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-    this.#worker.onmessage = ({ data }) => this.#settle(data);
-    this.#worker.onerror = (event) => {
-      event.preventDefault();
-      const message = event.message ?? "the module of the worker cannot be loaded";
-      this.#failure = { name: "Error", message };
-      for (const id of this.#mailbox.ids) this.#settle({ id, error: this.#failure });
-    };
+    this.#mailbox = mailboxOf(this.#worker);
   }
 
   /**
@@ -39,34 +32,17 @@ export class TileMaker {
   /** Read the terrain of this name from a source { size, read(start, end) } of the page, not its URL. */
   bring(name, source) {
     const { port1: here, port2: port } = new MessageChannel();
-    here.onmessage = async ({ data: { id, start, end } }) => {
-      try {
-        const found = new Uint8Array(await source.read(start, end)); // a copy, which moves
-        here.postMessage({ id, found }, [found.buffer]);
-      } catch (error) {
-        here.postMessage({ id, error: { name: error.name, message: error.message } });
-      }
-    };
+    here.onmessage = ({ data: { id, start, end } }) =>
+      answer(here, id, async () => [new Uint8Array(await source.read(start, end))]); // a copy, which moves
     this.#worker.postMessage({ brought: { name, size: source.size, port } }, [port]);
   }
 
   #begin() {
     while (this.#mailbox.size < AT_ONCE && this.#waiting.length) {
       const { message, resolve, reject, signal } = this.#waiting.shift();
-      if (signal?.aborted) {
-        reject(new DOMException("not wanted any more", "AbortError"));
-        continue;
-      }
-      const { id, answer } = this.#mailbox.ask(this.#worker);
-      answer.then(resolve, reject);
-      if (this.#failure) this.#settle({ id, error: this.#failure });
-      else this.#worker.postMessage({ ...message, id });
+      if (signal?.aborted) reject(new DOMException("not wanted any more", "AbortError"));
+      else this.#mailbox.ask(message).then(resolve, reject).finally(() => this.#begin());
     }
-  }
-
-  #settle(message) {
-    this.#mailbox.settle(message);
-    this.#begin();
   }
 }
 

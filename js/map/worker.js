@@ -1,6 +1,6 @@
 /** Makes tiles in a thread of its own: messages { id, terrain, what, args } are answered by id. */
 
-// What others import below, the largest first: all comes at once, not one after another.
+// Imports of the modules below, the largest first: all comes at once, not one after another.
 import "../src/core-data.js";
 import "../src/url.js";
 import "../src/terrain.js";
@@ -15,9 +15,9 @@ import "../src/errors.js";
 import "./places.js";
 import "./surfaces.js";
 import { open } from "../src/index.js";
-import { Mailbox } from "../src/mailbox.js";
+import { Mailbox, answer } from "../src/mailbox.js";
 import { Globe } from "./globe.js";
-import { heightmap, sampledGrid } from "./heightmap.js";
+import { heightmap, sampledRectangle } from "./heightmap.js";
 import { gridMesh } from "./mesh.js";
 import {
   TILE_SIZE, latitudeOf, longitudeOf, rgbPixels, rgbTile, spacingOf, voidPixels, voidsOf,
@@ -28,14 +28,9 @@ const globes = new Map(); // by `keyOf`: promises
 const brought = new Map(); // by name: sources whose bytes the page brings
 
 function bring({ name, size, port }) {
-  const mailbox = new Mailbox(({ message }) => new Error(message));
+  const mailbox = new Mailbox(port);
   port.onmessage = ({ data }) => mailbox.settle(data);
-  const read = (start, end) => {
-    const { id, answer } = mailbox.ask(null);
-    port.postMessage({ id, start, end });
-    return answer;
-  };
-  brought.set(name, { size, read });
+  brought.set(name, { size, read: async (start, end) => (await mailbox.ask({ start, end }))[0] });
 }
 
 /** Terrains of two folders may have the same name. */
@@ -52,7 +47,7 @@ function openGlobe(terrain) {
   return globes.get(key);
 }
 
-/** What was made last, by place: heights and voids of a tile are asked for apart. */
+/** The newest answers, by place: heights and voids of a tile are asked for apart. */
 const made = new Map();
 
 function madeOnce(make, key, globe, ...args) {
@@ -94,9 +89,7 @@ const WORK = {
     }
     return { image: await picture(pixels) };
   },
-  async heightmap(globe, _key, z, x, y, size) {
-    return heightmap(globe, z, x, y, size);
-  },
+  heightmap: (globe, _key, ...tile) => heightmap(globe, ...tile),
   /** Heights at pixels of a rectangle of the Web Mercator world, 0 to 1 across and down, and metres of a pixel. */
   async plan(globe, _key, [left, top, right, bottom], nCols, nRows) {
     const between = (first, last, n) =>
@@ -107,16 +100,10 @@ const WORK = {
     const { heights } = await globe.heightsAt(globe.places.toSamples(lon, lat), globe.levelFor(spacing));
     return { heights, spacing };
   },
-  async mesh(globe, _key, z, x, y, size) {
-    return gridMesh(globe, z, x, y, size);
-  },
+  mesh: (globe, _key, ...tile) => gridMesh(globe, ...tile),
   /** n x n heights of a part of the map, [west, south, east, north], and their errors as `heightmap` has them. */
-  async surface(globe, _key, [west, south, east, north], n) {
-    const share = Array.from({ length: 2 * n - 1 }, (_, i) => i / (2 * n - 2));
-    const spacing = ((north - south) / (n - 1) / 180) * Math.PI * globe.axis;
-    const { known, error, terrainError } = await sampledGrid(
-      globe, share.map((at) => west + at * (east - west)), share.map((at) => north - at * (north - south)), n, spacing,
-    );
+  async surface(globe, _key, bounds, n) {
+    const { known, error, terrainError } = await sampledRectangle(globe, bounds, n);
     return { known, error, terrainError };
   },
   async height(globe, _key, lon, lat) {
@@ -126,20 +113,8 @@ const WORK = {
   },
 };
 
-self.onmessage = async ({ data }) => {
+self.onmessage = ({ data }) => {
   const { id, terrain, what, args } = data;
-  if (data.brought) {
-    bring(data.brought);
-    return;
-  }
-  try {
-    const globe = await openGlobe(terrain);
-    const found = await WORK[what](globe, keyOf(terrain), ...args);
-    // What can be moved is not copied.
-    const moved = Object.values(found ?? {}).map((value) => (ArrayBuffer.isView(value) ? value.buffer : value))
-      .filter((value) => value instanceof ArrayBuffer || value instanceof ImageBitmap);
-    self.postMessage({ id, found }, moved);
-  } catch (error) {
-    self.postMessage({ id, error: { name: error.name, message: error.message } });
-  }
+  if (data.brought) bring(data.brought);
+  else answer(self, id, async () => WORK[what](await openGlobe(terrain), keyOf(terrain), ...args));
 };

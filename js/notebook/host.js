@@ -1,20 +1,20 @@
 /**
- * What the page is told in a notebook, where it runs in a frame of widget.js: the terrain, the camera
+ * Answers to the page in a notebook, where it runs in a frame of widget.js: the terrain, the camera
  * and the window that the kernel has. It has the place of the page's host.js.
  */
 
 import { TileMaker } from "../terrainwave/map/maplibre.js";
+import { drawOn, element, featureOf, made } from "./elements.js";
 import { open } from "./making.js";
 
 const { model, terrain, source, kernel } = window.frameElement.terrainwave;
-const LINE = "#d43d1a";
-const NONE = { type: "FeatureCollection", features: [] };
+const LINE = { type: "line", paint: { "line-color": "#d43d1a", "line-width": 3 } };
 
 export function listed(maplibre) {
   const maker = new TileMaker();
   maker.bring(terrain.name, source);
-  const made = open(maplibre, [{ name: terrain.name, url: "", described: terrain }], maker);
-  return { terrains: [terrain], source: { ...made, addressesOf: () => [] } };
+  const opened = open(maplibre, [{ name: terrain.name, url: "", described: terrain }], maker);
+  return { terrains: [terrain], source: { ...opened, addressesOf: () => [] } };
 }
 
 // The camera, as the kernel has it.
@@ -60,20 +60,14 @@ let map = null;
 let start = null; // where the pointer went down
 let isDrawing = false;
 
-const button = document.createElement("button");
-const clear = document.createElement("button");
-const told = document.createElement("small");
+const button = made("button", { id: "draw", type: "button" }, "Draw a window");
+const clear = made("button", { id: "clear", type: "button" }, "Clear");
+const told = made("small", { id: "window", role: "status" });
 
-export function begin(made) {
-  map = made;
-  Object.assign(button, { id: "draw", type: "button", textContent: "Draw a window" });
-  Object.assign(clear, { id: "clear", type: "button", textContent: "Clear" });
-  Object.assign(told, { id: "window", role: "status" });
-  const row = document.createElement("p");
-  row.className = "row";
-  row.append(button, clear);
-  document.getElementById("fly").closest("p").after(row, told);
-  document.getElementById("sharing").hidden = true; // there are no addresses
+export function begin(shown) {
+  map = shown;
+  element("fly").closest("p").after(made("p", { className: "row" }, button, clear), told);
+  element("sharing").hidden = true; // there are no addresses
   button.addEventListener("click", () => setDrawing(!isDrawing));
   clear.addEventListener("click", () => send(null));
   map.on("style.load", showWindow);
@@ -132,20 +126,9 @@ function showWindow() {
   told.textContent = drawn
     ? `Window: ${drawn.n_rows} × ${drawn.n_cols} samples from row ${drawn.row}, column ${drawn.col} on`
     : "";
-  outline(drawn?.outline ?? []);
+  outline(drawn?.outline);
 }
 
-function outline(coordinates) {
-  if (!map.getStyle()?.sources.heights) return; // the empty style, or one on its way
-  const data = coordinates.length
-    ? { type: "Feature", properties: {}, geometry: { type: "LineString", coordinates } } : NONE;
-  const drawn = map.getSource("window");
-  if (drawn) {
-    drawn.setData(data);
-    return;
-  }
-  map.addSource("window", { type: "geojson", data });
-  map.addLayer({
-    id: "window", type: "line", source: "window", paint: { "line-color": LINE, "line-width": 3 },
-  });
+function outline(corners) {
+  drawOn(map, "window", LINE, corners && featureOf("LineString", corners));
 }

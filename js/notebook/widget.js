@@ -4,7 +4,7 @@
  * ext/notebook/channel.py. It is one module without imports, as anywidget takes it.
  */
 
-/** What the kernel takes in a message, and how many messages wait for it at a time. */
+/** Limits of a message that the kernel takes, and of messages that wait for it at a time. */
 const MOST_BYTES = 1 << 23;
 const MOST_RANGES = 64;
 const MOST_WAITING = 4;

@@ -1,6 +1,7 @@
 /** Compares bands of a file and its original in a thread of its own: { id, what, question } is answered by id. */
 
 import { open } from "../src/index.js";
+import { answer } from "../src/mailbox.js";
 import { Comparison } from "./compare.js";
 import { Original } from "./original.js";
 
@@ -65,12 +66,11 @@ function cut({ heights, valid, nRows, nCols: width }, left, nCols) {
   return { heights: own, valid: ownValid, nRows, nCols };
 }
 
-globalThis.onmessage = async ({ data: { id, what, question } }) => {
-  try {
-    globalThis.postMessage({ id, found: await WORK[what](question) });
-  } catch (error) {
-    const isOurs = ["CorruptStreamError", "UnsupportedError", "SourceError"].includes(error.name);
-    const message = isOurs ? `the .twz file cannot be read: ${error.message}` : error.message;
-    globalThis.postMessage({ id, error: { name: error.name, message } });
-  }
-};
+/** Say which of the two files an error is of: that of the .twz file has a name of ours. */
+function fail(error) {
+  if (!["CorruptStreamError", "UnsupportedError", "SourceError"].includes(error.name)) throw error;
+  throw Object.assign(error, { message: `the .twz file cannot be read: ${error.message}` });
+}
+
+globalThis.onmessage = ({ data: { id, what, question } }) =>
+  answer(globalThis, id, () => WORK[what](question).catch(fail));

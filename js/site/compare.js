@@ -73,7 +73,7 @@ export class Comparison {
     // Bars are of one width, an odd number of whole steps for integers; the middle one lies around 0.
     this.width = isFloat ? (2 * this.allowed) / (2 * MOST_BARS + 1) : 1 + 2 * Math.ceil(Math.max(this.allowed - MOST_BARS, 0) / (2 * MOST_BARS + 1));
     this.nBars = isFloat ? (bound > 0 ? MOST_BARS : 0) : Math.ceil((this.allowed - (this.width - 1) / 2) / this.width);
-    /** How far the values of a bar lie from its middle. */
+    /** Distance of a bar's values from its middle, at most. */
     this.half = isFloat ? this.width / 2 : (this.width - 1) / 2;
     this.found = {
       nSamples: 0, nValid: 0, largest: 0, squares: 0, worst: null, nBeyond: 0, beyond: null, excess: 0,

@@ -23,25 +23,18 @@ export function isInDegrees({ crs, bounds: { left, right, bottom, top } }) {
   return fits && isGeographic;
 }
 
-/** Return the transform, with rows from the north for a raster that lies nowhere. */
-function transformOf(terrain) {
-  return terrain.metadata.transform ? terrain.transform() : [1, 0, 0, 0, -1, terrain.nRows];
-}
-
 /**
  * Return a terrain for the page's list; `ramps` are those of another one. Longitudes and latitudes lie where they are; all other
  * rasters lie on a plane at 0° N 0° E: `plane` has the coordinates of that place, and degrees in one unit of them.
  */
 export function describe(terrain, name, ramps) {
-  const [a, b, c, d, e, f] = transformOf(terrain);
+  // A raster that lies nowhere has rows from the north.
+  const [a, b, c, d, e, f] = terrain.metadata.transform ? terrain.transform() : [1, 0, 0, 0, -1, terrain.nRows];
   const isPlane = !isInDegrees(terrain);
   const wkt = terrain.crs ?? "";
   const axis = numberIn(wkt, "ELLIPSOID|SPHEROID") ?? EARTH;
   const unit = (isPlane && numberIn(wkt.slice(wkt.toUpperCase().lastIndexOf("CARTESIAN")), "LENGTHUNIT")) || 1;
-  const corners = [[0, 0], [terrain.nCols, 0], [0, terrain.nRows], [terrain.nCols, terrain.nRows]];
-  const [xs, ys] = [corners.map(([col, row]) => a * col + b * row + c), corners.map(([col, row]) => d * col + e * row + f)];
-  const sides = [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
-  const [left, bottom, right, top] = sides;
+  const { left, bottom, right, top } = terrain.bounds;
   const half = (Math.max(right - left, top - bottom) * unit) / 2;
   // Degrees of the map in one unit of x and y; and what lies at 0, 0.
   const degrees = isPlane ? (unit * Math.min(1, MOST_OF_PLANE / half)) / (axis * DEGREE) : 1;

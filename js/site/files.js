@@ -117,10 +117,15 @@ function chunk(name, data) {
   const end = new DataView(new ArrayBuffer(4));
   head.setUint32(0, bytes.length);
   [...name].forEach((letter, i) => head.setUint8(4 + i, letter.charCodeAt(0)));
-  let crc = 0xffffffff;
-  for (const part of [new Uint8Array(head.buffer, 4), bytes]) for (const byte of part) crc = CRC[(crc ^ byte) & 255] ^ (crc >>> 8);
-  end.setUint32(0, ~crc);
+  end.setUint32(0, crc32(new Uint8Array(head.buffer, 4), bytes));
   return [head, bytes, end];
+}
+
+/** Return the CRC-32 of bytes, 0 … 2^32 - 1. */
+export function crc32(...parts) {
+  let crc = 0xffffffff;
+  for (const part of parts) for (const byte of part) crc = CRC[(crc ^ byte) & 255] ^ (crc >>> 8);
+  return ~crc >>> 0;
 }
 
 const CRC = Uint32Array.from({ length: 256 }, (_, n) => {

@@ -11,8 +11,11 @@ const CHOOSE = "choose the raster that the file was made from";
 const IS_MASK = 4; // of NewSubfileType
 const IS_POINT = 2; // of GTRasterTypeGeoKey
 const SIZES = [8, 16, 32, 64];
+/** Rows of an uncompressed strip that are read at once, and bytes of another strip or tile, which is decoded as a whole. */
+const [ROWS_AT_ONCE, MOST_DECODED] = [512, 100 * 2 ** 20];
 /** Names of Compression that geotiff.js reads as GDAL writes them. */
 const COMPRESSIONS = { 1: "none", 5: "LZW", 8: "deflate", 32946: "deflate", 32773: "PackBits", 50000: "ZSTD" };
+const TAGS = { StripOffsets: 273, RowsPerStrip: 278, StripByteCounts: 279 };
 const NO_UNIT = /^(|unspecified|unknown|undefined|none|n\/a|-)$/i;
 /** CRSs without a vertical axis, which would give the heights a unit: they are named by a code, or a WKT in full. */
 const IS_FLAT = /^(EPSG:(4326|3857|2\d{3}|3[0-7]\d{2}|2[1-9]\d{3}|3[0-2]\d{3})|(?!.*(VERT|\bup\b)).*\[.*)$/is;
@@ -40,6 +43,7 @@ export class Original {
     if (!(Number.isInteger(band) && band >= 1 && band <= nBands)) {
       throw new Error(`found band ${band}, expected 1${nBands > 1 ? ` to ${nBands}` : ", the only one"}`);
     }
+    await original.#cutStrip();
     original.#refuseUnreadable(band - 1, magic[0] === "M".charCodeAt(0));
     await original.#describe(band - 1);
     return original;
@@ -56,6 +60,26 @@ export class Original {
   /** Rows that are decoded together. */
   get tileRows() { return this.#image.getTileHeight(); }
 
+  /** Make strips of some rows of an uncompressed one that has all rows: geotiff.js reads strips as a whole. */
+  async #cutStrip() {
+    const { fileDirectory: tags } = this.#image;
+    const isOne = !this.isTiled && this.tileRows > ROWS_AT_ONCE && this.tileRows >= this.nRows;
+    if (!isOne || (tags.getValue("Compression") ?? 1) !== 1) return;
+    const starts = Array.from({ length: Math.ceil(this.nRows / ROWS_AT_ONCE) }, (_, i) => i * ROWS_AT_ONCE);
+    const offsets = await tags.loadValue("StripOffsets"); // one of each plane
+    const strips = [...offsets].flatMap((offset, plane) => starts.map((row) =>
+      [offset + row * this.#bytesOfRow(plane), Math.min(ROWS_AT_ONCE, this.nRows - row) * this.#bytesOfRow(plane)]));
+    tags.actualizedFields.set(TAGS.RowsPerStrip, ROWS_AT_ONCE);
+    tags.actualizedFields.set(TAGS.StripOffsets, strips.map(([offset]) => offset));
+    tags.actualizedFields.set(TAGS.StripByteCounts, strips.map(([, size]) => size));
+  }
+
+  /** Return the bytes of a row of a strip or tile: of one band, where bands lie in planes of their own. */
+  #bytesOfRow(band) {
+    const hasPlanes = this.#image.planarConfiguration === 2;
+    return this.#image.getTileWidth() * (hasPlanes ? this.#image.getSampleByteSize(band) : this.#image.getBytesPerPixel());
+  }
+
   /** Refuse GeoTIFFs that geotiff.js reads wrong, or not at all. */
   #refuseUnreadable(band, isBigEndian) {
     const tag = (name) => this.#image.fileDirectory.getValue(name);
@@ -66,6 +90,10 @@ export class Original {
     if (!(compression in COMPRESSIONS)) {
       const known = [...new Set(Object.values(COMPRESSIONS))].join(", ");
       refuse(`of compression ${compression}`, `one of ${known}`, "-co COMPRESS=DEFLATE");
+    }
+    if (this.tileRows * this.#bytesOfRow(band) > MOST_DECODED) {
+      const found = `${this.isTiled ? "tiles" : "strips"} of ${this.tileRows} x ${this.#image.getTileWidth()} samples`;
+      refuse(`of ${found}`, `at most ${MOST_DECODED / 2 ** 20} MiB in each`, "-co TILED=YES");
     }
     const [bits, predictor] = [this.#image.getBitsPerSample(band), tag("Predictor") ?? 1];
     if (!SIZES.includes(bits) || (bits === 16 && this.#image.getSampleFormat(band) === 3)) {

@@ -1,6 +1,6 @@
 /** Proof of a file by its original: workers compare bands of rows, and their sums are added. */
 
-import { Mailbox } from "../src/mailbox.js";
+import { mailboxOf } from "../src/mailbox.js";
 import { Comparison } from "./compare.js";
 
 const MOST_WORKERS = 4;
@@ -9,39 +9,21 @@ const CACHE = 2 ** 27;
 /** A GeoTIFF whose strips are larger than so many samples is read by one worker: each decodes whole strips. */
 const MANY_SAMPLES = 2 ** 25;
 
-class Prover {
-  #worker = new Worker(new URL("./compare-worker.js", import.meta.url), { type: "module" });
-  #mailbox = new Mailbox(({ name, message }) => Object.assign(new Error(message), { name }));
-
-  constructor() {
-    this.#worker.onmessage = ({ data }) => this.#mailbox.settle(data);
-    this.#worker.onerror = (event) => {
-      event.preventDefault();
-      this.#fail(new Error(event.message ?? "the module of a worker cannot be loaded"));
-    };
-  }
-
-  ask(what, question) {
-    const { id, answer } = this.#mailbox.ask(null);
-    this.#worker.postMessage({ id, what, question });
-    return answer;
-  }
-
-  end(reason) {
-    this.#worker.terminate();
-    this.#fail(reason ?? new DOMException("ended", "AbortError"));
-  }
-
-  #fail(error) {
-    for (const id of this.#mailbox.ids) this.#mailbox.settle({ id, error });
-  }
+function startWorker() {
+  const worker = new Worker(new URL("./compare-worker.js", import.meta.url), { type: "module" });
+  const mailbox = mailboxOf(worker);
+  const end = (reason) => {
+    worker.terminate();
+    mailbox.fail(reason ?? new DOMException("ended", "AbortError"));
+  };
+  return { ask: (what, question) => mailbox.ask({ what, question }), end };
 }
 
 /**
  * Compare `twz`, a File or a URL, with `tif`, a File. `onProgress` is called with the share of samples compared.
  * Return the report of `Comparison`, with { root, stated } of the heights' digests. `start` returns a worker.
  */
-export async function prove({ twz, tif, band }, onProgress, signal, start = () => new Prover()) {
+export async function prove({ twz, tif, band }, onProgress, signal, start = startWorker) {
   const provers = [start()];
   const end = () => provers.forEach((prover) => prover.end(signal.reason));
   signal.addEventListener("abort", end);

@@ -2,8 +2,9 @@
  * The page of `terrainwave site`: that of a published folder, which also takes files of its visitor. What it needs
  * lies in the folder: it works offline and under a strict Content-Security-Policy.
  */
-import { add, list, map, show, source, started, state, terrains } from "../../static/page.js";
+import { add, map, show, source, started, state, terrains } from "../../static/page.js";
 import { roundedUp, withUnit } from "../../static/colours.js";
+import { drawOn, element, featureOf, list, made } from "../../static/elements.js";
 import { Places } from "../map/places.js";
 import { open } from "../src/index.js";
 import { describe, factsOf, isInDegrees } from "./described.js";
@@ -11,13 +12,12 @@ import { geoTiff, png } from "./files.js";
 import { SIDE, mesher } from "./mesh.js";
 import { prove } from "./prove.js";
 
-const element = (id) => document.getElementById(id);
-const LINES = { type: "Feature", properties: {}, geometry: { type: "MultiLineString", coordinates: [] } };
 const ON_MAP = {
-  mesh: ["line", { "line-color": "#102a43", "line-width": 0.7 }],
-  worst: ["circle", {
-    "circle-color": "#d43d1a", "circle-radius": 8, "circle-stroke-color": "#fff", "circle-stroke-width": 2,
-  }],
+  mesh: { type: "line", paint: { "line-color": "#102a43", "line-width": 0.7 } },
+  worst: {
+    type: "circle",
+    paint: { "circle-color": "#d43d1a", "circle-radius": 8, "circle-stroke-color": "#fff", "circle-stroke-width": 2 },
+  },
 };
 /** Places along each side of the map that are looked at for what is in view. */
 const N_LOOKED_AT = 33;
@@ -138,16 +138,9 @@ async function shown({ detail: described }) {
 
 const drawn = { mesh: null, worst: null };
 
-function draw(id, data) {
-  drawn[id] = data;
-  if (!map.getStyle()?.sources.heights) return; // the empty style, or one on its way
-  if (map.getSource(id)) {
-    map.getSource(id).setData(data ?? LINES);
-  } else if (data) {
-    const [type, paint] = ON_MAP[id];
-    map.addSource(id, { type: "geojson", data });
-    map.addLayer({ id, type, source: id, paint });
-  }
+function draw(id, feature) {
+  drawn[id] = feature;
+  drawOn(map, id, ON_MAP[id], feature);
 }
 
 // The part in view.
@@ -216,9 +209,7 @@ async function save() {
   const format = element("format").value;
   const { parts, nodata } = format === "tif" ? geoTiff(terrain, found, isInDegrees(terrain))
     : { parts: await png(terrain, found), nodata: terrain.nodata };
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob(parts));
-  link.download = `${name}.${format}`;
+  const link = made("a", { href: URL.createObjectURL(new Blob(parts)), download: `${name}.${format}` });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
   const isNamed = format !== "tif" || terrain.crs === null || /^EPSG:\d+$/.test(terrain.crs);
@@ -256,8 +247,7 @@ function showMesh() {
   const place = ([col, row]) => [west + ((east - west) * col) / (SIDE - 1), north - ((north - south) * row) / (SIDE - 1)];
   const written = (number) => withUnit(roundedUp(number, 3), state.terrain);
   element("tolerance").value = written(tolerance);
-  const data = { ...LINES, geometry: { ...LINES.geometry, coordinates: lines.map((line) => line.map(place)) } };
-  draw("mesh", data);
+  draw("mesh", featureOf("MultiLineString", lines.map((line) => line.map(place))));
   const outside = nOutside ? ` ${nOutside.toLocaleString("en")} valid samples at voids are outside of the mesh.` : "";
   say("meshed", (nTriangles
     ? `${nTriangles.toLocaleString("en")} triangles, at most ${written(measured)} from the heights of the view under them, at ${SIDE} × ${SIDE} places.`
@@ -308,8 +298,7 @@ async function showProof(terrain, described, { nValid, maxError, rmse, worst, ba
   const all = nValid ? `all ${nValid.toLocaleString("en")} samples are within ${atMost(terrain.effectiveBound)} of the original.`
     : "all samples are void in both.";
   say("proved", (problems.length ? "Not proved. Found:" : `Proved: ${all}`) + side, problems.length > 0);
-  element("problems").replaceChildren(...problems.map((problem) =>
-    Object.assign(document.createElement("li"), { textContent: problem })));
+  element("problems").replaceChildren(...problems.map((problem) => made("li", {}, problem)));
   const heights = worst ? [worst.original, worst.decoded].map((raw) => raw * terrain.scale + terrain.offset) : [];
   // As many digits as tell them apart by their error.
   const digits = [4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16].find((n) =>
@@ -325,7 +314,7 @@ async function showProof(terrain, described, { nValid, maxError, rmse, worst, ba
   if (worst) {
     const coordinates = lonLatOf(terrain, worst);
     element("where").onclick = () => map.jumpTo({ center: coordinates, zoom: described.maxzoom });
-    draw("worst", { type: "Feature", properties: {}, geometry: { type: "Point", coordinates } });
+    draw("worst", featureOf("Point", coordinates));
   }
   showBars(bars, inUnits);
 }
@@ -344,7 +333,7 @@ function showBars(bars, inUnits) {
   const middle = bars[(bars.length - 1) / 2].n;
   element("bars").ariaLabel = `Histogram of decoded minus original, ${inUnits(low)} to ${inUnits(high)}: ${middle} samples around 0, at most ${most} in a bar`;
   const written = bars.length > 1 ? [inUnits(low), "decoded − original", inUnits(high)] : ["0"];
-  element("scale").replaceChildren(...written.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
+  element("scale").replaceChildren(...written.map((text) => made("span", {}, text)));
   element("errors").hidden = false;
 }
 
@@ -352,7 +341,7 @@ function showBars(bars, inUnits) {
 
 function connect() {
   element("samples").replaceChildren(...terrains.map(({ name }) => {
-    const button = Object.assign(document.createElement("button"), { type: "button", value: name, textContent: name });
+    const button = made("button", { type: "button", value: name }, name);
     button.addEventListener("click", () => show(terrains.find((terrain) => terrain.name === name)));
     return button;
   }));

@@ -52,6 +52,7 @@ function find(held, start, end) {
 export class Core {
   #exports;
   #array; // of heights
+  #void; // what void samples hold
   #cacheBytes;
 
   /** True after the decoder broke off: its memory may hold anything. */
@@ -172,6 +173,7 @@ export class Core {
     const [nRows, nCols, nLevels, blockSize, dtype, , method, features, maxError, effectiveBound, hasNodata, nodata,
       text, length, rawMin, rawMax, rawRho, boundSide] = this.#told(18);
     this.#array = ARRAYS[DTYPES[dtype]];
+    this.#void = hasNodata ? nodata : NaN; // 0 in an array of integers
     return {
       nRows, nCols, nLevels, blockSize, features, maxError, effectiveBound, rawMin, rawMax, rawRho, boundSide,
       dtype: DTYPES[dtype], method: METHODS[method],
@@ -196,9 +198,14 @@ export class Core {
       for (let first = 0; first < nRows; first += most) {
         const rows = Math.min(most, nRows - first);
         this.#do("read_rows", first, rows, isExact ? 1 : 0);
-        const [heights, valid] = this.#told(2);
         const n = rows * nCols;
-        take(this.#view(this.#array, heights, n), this.#view(Uint8Array, valid, n), first);
+        const [heights, valid, own] = this.#told(3).map((at, i) => this.#view(i ? Uint8Array : this.#array, at, n));
+        for (let i = 0; isExact && i < n; i++) {
+          if (valid[i] === own[i]) continue;
+          valid[i] = own[i];
+          heights[i] = this.#void;
+        }
+        take(heights, valid, first);
       }
       return {};
     });

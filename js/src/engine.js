@@ -7,22 +7,18 @@ import { Core } from "./core.js";
 import { SourceError } from "./errors.js";
 
 export class Engine {
-  #module;
-  #size;
-  #start; // bytes from the file's first on
-  #cacheBytes;
+  #file;
   #core = null; // a promise
 
-  constructor({ module, size, start, cacheBytes }) {
-    this.#module = module;
-    this.#size = size;
-    this.#start = start;
-    this.#cacheBytes = cacheBytes;
+  /** `file` has the decoder's module, size, start (bytes from the file's first on) and cacheBytes. */
+  constructor(file) {
+    this.#file = file;
   }
 
   async #open(fetch) {
-    const core = await Core.start(this.#module, this.#size, this.#cacheBytes);
-    const held = [{ start: 0, bytes: this.#start }];
+    const { module, size, start, cacheBytes } = this.#file;
+    const core = await Core.start(module, size, cacheBytes);
+    const held = [{ start: 0, bytes: start }];
     try {
       for (;;) {
         const missing = core.open(held);
@@ -65,10 +61,10 @@ export class Engine {
 
   /**
    * Call `what` of the decoder until nothing is missing. A window is begun anew after each wait:
-   * meanwhile others may have decoded its units, or the decoder may have broken off.
+   * meanwhile others may have decoded its units, or the decoder may have broken off. `take`: see `Core.read`.
    */
-  async #ask(what, place, fetch, take) {
-    const held = [{ start: 0, bytes: this.#start }];
+  async ask(what, place, fetch, take) {
+    const held = [{ start: 0, bytes: this.#file.start }];
     for (;;) {
       const { core } = await this.#opened(fetch);
       const { missing, found } = core[what](place, held, take);
@@ -77,25 +73,10 @@ export class Engine {
     }
   }
 
-  /** Call `take` with the heights and the validity of some rows of a window after others: see `Core.read`. */
-  read(place, fetch, take) {
-    return this.#ask("read", place, fetch, take);
-  }
-
   /** Give the memory back; nothing can be read any more. */
   async close() {
     const opened = await this.#core?.catch(() => null);
     opened?.core.end();
-  }
-
-  /** Return the error of a block in raw units. */
-  blockError(place, fetch) {
-    return this.#ask("blockError", place, fetch);
-  }
-
-  /** Return the root that the file states, or null. */
-  statedRoot(fetch) {
-    return this.#ask("statedRoot", null, fetch);
   }
 
   /** Return a digest of what is decoded: `what` is digest or rootOf of the decoder. */

@@ -5,21 +5,17 @@
 
 import { ARRAYS } from "./core.js";
 import { Engine } from "./engine.js";
-import { Mailbox } from "./mailbox.js";
+import { Mailbox, answer } from "./mailbox.js";
 
 /** Of Node, whose workers have no global messages; the name is no literal: bundlers would look. */
 const THREADS = "node:worker_threads";
 
-function work(post) {
-  const mailbox = new Mailbox(({ name, message }) => Object.assign(new Error(message), { name }));
+function work(port) {
+  const mailbox = new Mailbox(port);
   let engine = null;
 
   /** Ask for bytes, for a question. */
-  const fetchFor = (of) => (ranges) => {
-    const { id, answer } = mailbox.ask(null);
-    post({ id, of, ranges }, []);
-    return answer;
-  };
+  const fetchFor = (of) => (ranges) => mailbox.ask({ of, ranges });
   const WORK = {
     async open(file, fetch) {
       engine = new Engine(file);
@@ -28,7 +24,7 @@ function work(post) {
     async read(place, fetch) {
       const n = place.nRows * place.nCols;
       const [heights, valid] = [new ARRAYS[place.dtype](n), new Uint8Array(n)];
-      await engine.read(place, fetch, (ofRows, validOfRows, row) => {
+      await engine.ask("read", place, fetch, (ofRows, validOfRows, row) => {
         heights.set(ofRows, row * place.nCols);
         valid.set(validOfRows, row * place.nCols);
       });
@@ -36,25 +32,15 @@ function work(post) {
     },
   };
 
-  return async ({ id, what, question, ...answer }) => {
-    if (!what) {
-      mailbox.settle({ id, ...answer });
-      return;
-    }
-    try {
-      const found = await WORK[what](question, fetchFor(id));
-      post({ id, found }, found ? [found.heights.buffer, found.valid.buffer] : []);
-    } catch (error) {
-      post({ id, error: { name: error.name, message: error.message } }, []);
-    }
-  };
+  return ({ id, what, question, ...more }) =>
+    what ? answer(port, id, () => WORK[what](question, fetchFor(id))) : mailbox.settle({ id, ...more });
 }
 
 if (typeof globalThis.postMessage === "function") {
-  const take = work((message, moved) => globalThis.postMessage(message, moved));
+  const take = work(globalThis);
   globalThis.onmessage = ({ data }) => take(data);
 } else {
   import(/* @vite-ignore */ /* webpackIgnore: true */ THREADS).then(({ parentPort }) => {
-    parentPort.on("message", work((message, moved) => parentPort.postMessage(message, moved)));
+    parentPort.on("message", work(parentPort));
   });
 }

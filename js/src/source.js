@@ -1,4 +1,4 @@
-/** Where bytes come from: memory, a File or Blob, a URL by range requests, or the caller's own. */
+/** Sources of bytes: memory, a File or Blob, a URL by range requests, or the caller's own. */
 
 import { ArgumentError, SourceError } from "./errors.js";
 import { UrlSource } from "./url.js";
@@ -18,9 +18,10 @@ const PARALLEL = 6;
 /** Return a source { size, head(n), read(start, end) } of what the caller has. */
 export function openSource(from, options = {}) {
   if (typeof from === "string" || from instanceof URL) return new UrlSource(from, options);
-  if (from instanceof ArrayBuffer) return new BytesSource(new Uint8Array(from));
-  if (ArrayBuffer.isView(from)) {
-    return new BytesSource(new Uint8Array(from.buffer, from.byteOffset, from.byteLength));
+  if (from instanceof ArrayBuffer || ArrayBuffer.isView(from)) {
+    const { buffer = from, byteOffset = 0, byteLength } = from;
+    const bytes = new Uint8Array(buffer, byteOffset, byteLength);
+    return new RangedSource(byteLength, async (start, end) => bytes.subarray(start, end));
   }
   if (typeof Blob !== "undefined" && from instanceof Blob) {
     return new RangedSource(from.size, async (start, end) => from.slice(start, end).arrayBuffer());
@@ -29,21 +30,6 @@ export function openSource(from, options = {}) {
     return new RangedSource(from.size, (start, end) => from.read(start, end));
   }
   throw new ArgumentError("open takes a URL, a Blob, bytes, or an object with size and read");
-}
-
-class BytesSource {
-  constructor(bytes) {
-    this.bytes = bytes;
-    this.size = bytes.length;
-  }
-
-  async head(n) {
-    return this.bytes.subarray(0, n);
-  }
-
-  async read(start, end) {
-    return this.bytes.subarray(start, end);
-  }
 }
 
 class RangedSource {
@@ -64,15 +50,11 @@ class RangedSource {
       throw new SourceError(`bytes ${start} to ${end}: ${cause.message}`, { cause });
     }
     const bytes = found instanceof ArrayBuffer ? new Uint8Array(found) : found;
-    return exactly(bytes, end - start, `bytes ${start} to ${end}`);
+    if (!(bytes instanceof Uint8Array) || bytes.length !== end - start) {
+      throw new SourceError(`bytes ${start} to ${end}: ${bytes?.length} bytes came, not ${end - start}`);
+    }
+    return bytes;
   }
-}
-
-function exactly(bytes, n, what) {
-  if (!(bytes instanceof Uint8Array) || bytes.length !== n) {
-    throw new SourceError(`${what}: ${bytes?.length} bytes came, not ${n}`);
-  }
-  return bytes;
 }
 
 /** Pages of the index that are kept: each reader of a file asks for them. */

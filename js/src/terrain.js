@@ -23,7 +23,7 @@ const PARTS_AT_ONCE = 3;
 const FEWEST_UNITS_FOR_WORKERS = 3;
 /** Meanings of the numbers, by FORMAT.md §4.2. */
 const KINDS = ["height", "depth", "radius"];
-/** Where nobody asked for workers, they start with a window that takes longer than they need to start. */
+/** Workers that nobody asked for start with a window that takes longer than they need to start. */
 const FEWEST_SAMPLES_TO_START = 2 ** 21;
 
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */
@@ -92,12 +92,6 @@ export class Terrain {
     return found;
   }
 
-  #checkVoids(voids) {
-    if (voids !== "exact" && voids !== "any") {
-      throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
-    }
-  }
-
   /** Return { nRows, nCols } of a level. */
   shape(level = -1) {
     const step = 2 ** (this.nLevels - 1 - this.#level(level));
@@ -143,7 +137,7 @@ export class Terrain {
     const { maxSamples, signal } = this.#given;
     if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
-    this.#checkVoids(voids);
+    if (voids !== "exact" && voids !== "any") throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
     const place = this.#cut(found, window ?? {});
     const { nRows, nCols } = place;
     if (nRows * nCols > maxSamples) {
@@ -206,7 +200,7 @@ export class Terrain {
     const isSmall = n < FEWEST_UNITS_FOR_WORKERS || (!this.#pool && nRows * nCols < fewestSamples);
     const pool = isSmall ? null : await this.#workers();
     if (!pool) {
-      const read = (place, _, take) => engine.read(place, fetch, take);
+      const read = (place, _, take) => engine.ask("read", place, fetch, take);
       if (nRows * nCols <= MOST_AT_ONCE) side = Infinity;
       return Object.assign(read, { side, nAtOnce: PARTS_AT_ONCE });
     }
@@ -291,13 +285,13 @@ export class Terrain {
       throw new ArgumentError(`there is no block ${row}, ${col} on level ${level}`);
     }
     const { engine, fetch } = this.#given;
-    return (await engine.blockError(place, fetch)) * Math.abs(this.scale);
+    return (await engine.ask("blockError", place, fetch)) * Math.abs(this.scale);
   }
 
   /** Return the root of the file's digests as it states it, which nothing is compared with; null without digests. */
   async statedRoot() {
     const { engine, fetch } = this.#given;
-    return engine.statedRoot(fetch);
+    return engine.ask("statedRoot", null, fetch);
   }
 
   /** Return the digest of a tile, { heights, valid, nRows, nCols }: 512 x 512 samples, fewer at the last ones. */

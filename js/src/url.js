@@ -299,11 +299,8 @@ function secondsOf(text) {
 }
 
 function parameters(address) {
-  const found = new Map();
-  if (!address.includes("?")) return found;
-  const query = address.slice(address.indexOf("?"));
-  for (const [name, value] of new URLSearchParams(query)) found.set(name.toLowerCase(), value);
-  return found;
+  const query = new URLSearchParams(address.replace(/^[^?]*/, ""));
+  return new Map([...query].map(([name, value]) => [name.toLowerCase(), value]));
 }
 
 function isSigned(address) {

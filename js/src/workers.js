@@ -1,7 +1,7 @@
 /** Workers that read windows of one file: those of browsers, or threads of Node. */
 
 import * as errors from "./errors.js";
-import { Mailbox } from "./mailbox.js";
+import { Mailbox, answer } from "./mailbox.js";
 
 const { ArgumentError, TerrainwaveError } = errors;
 /** By default, on pages alone, where decoding would hold up the page. */
@@ -19,7 +19,7 @@ export function numberOfWorkers(asked) {
   return asked;
 }
 
-/** Return a function that starts a worker: { post, end, hold }, which calls what it is given. */
+/** Return a function that starts a worker, which calls what it is given. */
 async function starter(url) {
   if (typeof Worker === "function") {
     return (onMessage, onFailure) => {
@@ -31,10 +31,7 @@ async function starter(url) {
         event.preventDefault();
         onFailure(event.message ?? "its module cannot be loaded");
       };
-      return {
-        post: (message, moved) => worker.postMessage(message, moved), end: () => worker.terminate(),
-        hold: () => {},
-      };
+      return worker;
     };
   }
   const { startThread } = await import("#threads");
@@ -43,27 +40,20 @@ async function starter(url) {
     worker.on("message", onMessage);
     worker.on("error", (error) => onFailure(error.message));
     worker.on("exit", () => onFailure("it ended"));
-    return {
-      post: (message, moved) => worker.postMessage(message, moved), end: () => worker.terminate(),
-      // A process that waits for nothing else ends, whatever idle workers there are.
-      hold: (isBusy) => (isBusy ? worker.ref() : worker.unref()),
-    };
+    return worker;
   };
 }
 
 /** Return the error of a worker as one of ours. */
 function errorOf(error) {
-  if (error instanceof Error) return error;
   const Kind = errors[error.name]?.prototype instanceof TerrainwaveError
     ? errors[error.name] : TerrainwaveError;
   return new Kind(Kind === TerrainwaveError ? `a worker failed: ${error.message}` : error.message);
 }
 
 export class WorkerPool {
-  #workers = []; // { worker, n }: n questions wait
-  #mailbox = new Mailbox(errorOf);
+  #workers = []; // { worker, mailbox, failures }: why bytes did not come, by question
   #fetch;
-  #failures = new Map(); // by question: why its bytes did not come
   #failure = null;
 
   /**
@@ -75,15 +65,16 @@ export class WorkerPool {
     try {
       const begin = await starter(url);
       for (let i = 0; i < n; i++) {
-        const one = { n: 0 };
-        const take = (data) => (data.ranges ? pool.#serve(one, data) : pool.#settle(data));
+        const one = { failures: new Map() };
+        const take = (data) => (data.ranges ? pool.#serve(one, data) : pool.#settle(one, data));
         one.worker = begin(take, (message) => pool.#fail(message));
+        one.mailbox = new Mailbox(one.worker, errorOf);
         pool.#workers.push(one);
       }
-      await Promise.all(pool.#workers.map((one) => pool.#give(one, "open", file)));
+      await Promise.all(pool.#workers.map((one) => pool.#ask(one, "open", file)));
     } catch (error) {
       pool.close();
-      throw errorOf(error);
+      throw error;
     }
     return pool;
   }
@@ -98,51 +89,46 @@ export class WorkerPool {
   }
 
   /** Return { heights, valid } of a window: by who has least to do, else by who may have read it. */
-  read(place, number) {
+  async read(place, number) {
     const order = this.#workers.map((_, i) => this.#workers[(i + number) % this.#workers.length]);
-    if (order.length === 0) return Promise.reject(errorOf(this.#failure));
-    return this.#give(order.reduce((best, one) => (one.n < best.n ? one : best)), "read", place);
+    if (order.length === 0) throw this.#failure;
+    return this.#ask(order.reduce((best, one) => (one.mailbox.size < best.mailbox.size ? one : best)), "read", place);
   }
 
   /** End the workers; what is asked for is refused. */
   close() {
     this.#fail("it was closed");
-    for (const { worker } of this.#workers.splice(0)) worker.end();
+    for (const { worker } of this.#workers.splice(0)) worker.terminate();
   }
 
-  #give(one, what, question) {
-    const { id, answer } = this.#mailbox.ask(one);
-    one.n++;
-    one.worker.hold(true);
-    if (this.#failure) this.#settle({ id, error: this.#failure });
-    else one.worker.post({ id, what, question }, []);
-    return answer;
+  /** Threads of Node have `ref` and `unref`: a process that waits for nothing else ends, whatever idle workers there are. */
+  #ask({ worker, mailbox }, what, question) {
+    worker.ref?.();
+    return mailbox.ask({ what, question });
+  }
+
+  #settle({ worker, mailbox, failures }, { id, found, error }) {
+    mailbox.settle({ id, found, error: error && (failures.get(id) ?? error) });
+    failures.delete(id);
+    if (mailbox.size === 0) worker.unref?.();
   }
 
   /** Bring the bytes that a worker needs for its question `of`. */
-  async #serve({ worker }, { id, of, ranges }) {
-    try {
-      // Copies: of parts, the whole would go to the worker.
-      const parts = (await this.#fetch(ranges)).map((bytes) => new Uint8Array(bytes));
-      worker.post({ id, found: parts }, parts.map(({ buffer }) => buffer));
-    } catch (error) {
-      this.#failures.set(of, error);
-      worker.post({ id, error: { name: error.name, message: error.message } }, []);
-    }
-  }
-
-  #settle({ id, found, error }) {
-    const reason = error && (this.#failures.get(id) ?? error);
-    this.#failures.delete(id);
-    const one = this.#mailbox.settle({ id, found, error: reason });
-    if (!one) return;
-    one.n--;
-    one.worker.hold(one.n > 0);
+  #serve({ worker, failures }, { id, of, ranges }) {
+    return answer(worker, id, async () => {
+      try {
+        // Copies: of parts, the whole would go to the worker.
+        return (await this.#fetch(ranges)).map((bytes) => new Uint8Array(bytes));
+      } catch (error) {
+        failures.set(of, error);
+        throw error;
+      }
+    });
   }
 
   /** All fail with one of them: what it was asked, nobody else was told. */
   #fail(message) {
-    this.#failure ??= { name: "Error", message };
-    for (const id of this.#mailbox.ids) this.#settle({ id, error: this.#failure });
+    this.#failure ??= errorOf({ message });
+    for (const { mailbox } of this.#workers) mailbox.fail(this.#failure);
   }
 }

@@ -5,7 +5,8 @@ import { readFile, readdir } from "node:fs/promises";
 import { test } from "node:test";
 
 import { open } from "../src/index.js";
-import { GOLDEN, digests } from "../testing/files.js";
+import { GOLDEN } from "../testing/files.js";
+import { digests } from "../testing/levels.js";
 
 const manifest = JSON.parse(await readFile(new URL("manifest.json", GOLDEN)));
 

@@ -5,35 +5,13 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { deflateRawSync } from "node:zlib";
 
-import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
-import { Parts, golden } from "../testing/files.js";
+import { CorruptStreamError, open } from "../src/index.js";
+import { Parts, golden, random, refusal } from "../testing/files.js";
 
 const ANNEXES = new URL("../../src/terrainwave/annexes/", import.meta.url);
 const DICTIONARY = readFileSync(new URL("dictionary.txt", ANNEXES)); // FORMAT.md §4.6
 
-/** Read all levels; return whether bytes were refused, by one of our errors. */
-async function isRefused(bytes) {
-  try {
-    const terrain = await open(bytes, { maxSamples: 2 ** 20 });
-    for (let level = 0; level < terrain.nLevels; level++) {
-      const { heights, valid } = await terrain.read(level);
-      valid.forEach((isValid, i) => assert.ok(!isValid || Number.isFinite(heights[i])));
-    }
-    return false;
-  } catch (error) {
-    if (!(error instanceof TerrainwaveError) || /broke off/.test(error)) throw error;
-    return true;
-  }
-}
-
-/** A small generator of numbers below n, the same in each run. */
-function random(seed) {
-  let state = seed;
-  return (n) => {
-    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
-    return Math.floor((state / 2 ** 32) * n);
-  };
-}
+const isRefused = async (bytes) => (await refusal(bytes)) !== "";
 
 function flip(bytes, i, bit) {
   const flipped = Uint8Array.from(bytes);

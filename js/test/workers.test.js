@@ -8,7 +8,8 @@ import { promisify } from "node:util";
 
 import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
 import { WorkerPool } from "../src/workers.js";
-import { GOLDEN, Parts, digests, golden } from "../testing/files.js";
+import { GOLDEN, Parts, golden } from "../testing/files.js";
+import { digests } from "../testing/levels.js";
 
 const NAMES = ["store-int16-segments", "predictive-patched-float32-nan", "rapid-float32-fills",
   "rapid-int16-mask", "cdf97-int16-halves", "cdf53-int16-tiles"];
@@ -78,8 +79,12 @@ test("where no worker can start the page decodes, and says so once", async (cont
 });
 
 test("idle workers let a process end", async () => {
-  const paths = [new URL("../testing/idle.js", import.meta.url), new URL("rapid-int16-halves.twz", GOLDEN)];
-  const { stdout, stderr } = await promisify(execFile)(process.execPath, paths.map(fileURLToPath), { timeout: 60000 });
+  const program = `import("${new URL("../src/index.js", import.meta.url)}").then(async ({ open }) => {
+    const terrain = await open(require("node:fs").readFileSync(process.argv[1]), { workers: 2 });
+    console.log((await terrain.read()).heights.length);
+  });`;
+  const words = ["-e", program, fileURLToPath(new URL("rapid-int16-halves.twz", GOLDEN))];
+  const { stdout, stderr } = await promisify(execFile)(process.execPath, words, { timeout: 60000 });
   assert.deepEqual([stdout, stderr], ["11000\n", ""]);
 });
 

@@ -4,7 +4,7 @@ import { readFile } from "node:fs/promises";
 import { createInterface } from "node:readline";
 
 import { CorruptStreamError, LimitExceededError, UnsupportedError, open } from "../src/index.js";
-import { digestOfLevel } from "./files.js";
+import { digestOfLevel } from "./levels.js";
 
 const PROFILE = {
   name: "terrainwave, JavaScript",

@@ -1,32 +1,16 @@
 /** Golden files, and files made of them. */
 
-import { createHash, randomBytes } from "node:crypto";
+import { randomBytes } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { deflateRawSync, deflateSync, inflateSync } from "node:zlib";
 
-import { crc32, fileOrder, keysOf, lengthsOf } from "./format.js";
+import { crc32 } from "../site/files.js";
+import { TerrainwaveError, open } from "../src/index.js";
+import { fileOrder, keysOf, lengthsOf } from "./format.js";
 
 export const GOLDEN = new URL("../../tests/golden/v2/", import.meta.url);
 
 export const golden = (name) => readFile(new URL(`${name}.twz`, GOLDEN));
-
-const digest = (array) => createHash("sha256").update(array).digest("hex");
-
-/** Return size and digests of a level, as tests/golden/README.md defines them. */
-export async function digestOfLevel(terrain, level) {
-  const { heights, valid, nRows, nCols } = await terrain.read(level, {}, { voids: "any" });
-  const found = { rows: nRows, cols: nCols, heights: digest(heights), mask: digest(valid) };
-  if (!terrain.hasVoids) return found;
-  const exact = await terrain.read(level, {}, { voids: "exact" });
-  return { ...found, own: digest(exact.valid) };
-}
-
-/** Return those of all levels. */
-export async function digests(terrain) {
-  const levels = [];
-  for (let k = 0; k < terrain.nLevels; k++) levels.push(await digestOfLevel(terrain, k));
-  return levels;
-}
 
 /** The parts of a file of one segment, and a file of parts with all lengths and checksums mended. */
 export class Parts {
@@ -89,4 +73,34 @@ export async function withLongHead(name) {
   const text = JSON.stringify({ tags: { noise: randomBytes(30000).toString("hex") } });
   parts.metadata = deflateRawSync(Buffer.from(text));
   return parts.bytes();
+}
+
+/** Return a small generator of numbers below n, the same ones for a seed. */
+export function random(seed) {
+  let state = seed >>> 0;
+  return (n) => {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0;
+    return Math.floor((state / 2 ** 32) * n);
+  };
+}
+
+/** Read the `nLevels` finest levels; return why bytes are refused by an error of ours, or "" where all is accepted. */
+export async function refusal(bytes, nLevels = Infinity) {
+  let terrain;
+  try {
+    terrain = await open(bytes, { maxSamples: 2 ** 20 });
+    for (let level = Math.max(0, terrain.nLevels - nLevels); level < terrain.nLevels; level++) {
+      const { nRows, nCols, heights, valid } = await terrain.read(level);
+      if (heights.length !== nRows * nCols || valid.length !== heights.length) {
+        throw new Error(`${heights.length} heights, ${valid.length} valid, ${nRows} x ${nCols}`);
+      }
+      if (heights.some((height, i) => valid[i] && !Number.isFinite(height))) throw new Error("a height is not finite");
+    }
+    return "";
+  } catch (error) {
+    if (!(error instanceof TerrainwaveError) || error.message.includes("broke off")) throw error;
+    return error.message.replace(/[\d.-]+/g, "0");
+  } finally {
+    await terrain?.close(); // another file gets the memory as this one leaves it
+  }
 }

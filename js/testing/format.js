@@ -1,18 +1,4 @@
-/** What tests know of the format, to make files out of parts of others: FORMAT.md §1.3, §3, §4.1. */
-
-const CRC_TABLE = new Int32Array(256);
-for (let i = 0; i < 256; i++) {
-  let crc = i;
-  for (let k = 0; k < 8; k++) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
-  CRC_TABLE[i] = crc;
-}
-
-/** Return the CRC-32 of bytes, 0 … 2^32 - 1. */
-export function crc32(bytes) {
-  let crc = -1;
-  for (let i = 0; i < bytes.length; i++) crc = CRC_TABLE[(crc ^ bytes[i]) & 255] ^ (crc >>> 8);
-  return ~crc >>> 0;
-}
+/** Parts of the format that tests know, to make files out of parts of others: FORMAT.md §1.3, §3, §4.1. */
 
 /** Return the lengths of metadata, parameters and top page that a header states. */
 export function lengthsOf(bytes) {

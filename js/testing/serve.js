@@ -1,65 +1,56 @@
 /**
- * Answer lines of standard input, JSON { what, path, window }, by lines of JSON: `digests` of a
- * file's levels, or what `terrainwave` or `geotiff` took to open a file in memory and to read a
- * window of it, or all: processor seconds of all threads, and the SHA-256 of the heights. `side`, with
- * { who, path or url, window, workers }: seconds of a clock (side.js).
+ * Answer lines of standard input, JSON { what, … }, by lines of JSON: of a file at `path` the `digests`
+ * of its levels, of one at `url` what `open` and `values` say of it, and the `side` that a read takes.
  */
 
-import { createHash, webcrypto } from "node:crypto";
 import { readFile } from "node:fs/promises";
 import { createInterface } from "node:readline";
 
 import * as terrainwave from "../src/index.js";
-import { levelDigests } from "./levels.js";
+import { digestOf, digests } from "./levels.js";
 import { sides } from "./side.js";
 
 const { open } = terrainwave;
 
-globalThis.crypto ??= webcrypto; // Node 18
-
 const bytesOf = async (path) => new Uint8Array(await readFile(path)).buffer;
 
-const digestOf = (array) => createHash("sha256").update(new Uint8Array(array.buffer)).digest("hex");
+/** Seconds: of a clock, or of the processor, by all threads. */
+const CLOCKS = {
+  clock: () => performance.now() / 1000,
+  processor() {
+    const { user, system } = process.cpuUsage();
+    return (user + system) / 1e6;
+  },
+};
 
-let timedSide = null; // geotiff.js is loaded when it is first asked for
-
-/** Return what a read of a file's bytes took, and what it gave. */
-async function timed(path, read) {
-  const bytes = await bytesOf(path);
-  const before = process.cpuUsage();
-  const heights = await read(bytes);
-  const { user, system } = process.cpuUsage(before);
-  return { seconds: (user + system) / 1e6, digest: digestOf(heights) };
-}
+let timedSide = null; // geotiff.js, installed by npm in this folder, is loaded when it is first asked for
 
 const WORK = {
-  digests: async (path) => levelDigests(await open(await bytesOf(path))),
-  terrainwave: (path, window) =>
-    timed(path, async (bytes) => {
-      const terrain = await open(bytes);
-      const { heights } = await terrain.read(-1, window);
-      await terrain.close(); // as Python's "with" does
-      return heights;
-    }),
-  async side(path, window, { who, url, workers }) {
-    timedSide ??= sides(terrainwave, await import("geotiff"), digestOf);
-    return timedSide({ who, name: url ?? path, from: url ?? await bytesOf(path), window, workers });
+  digests: async ({ path }) => digests(await open(await bytesOf(path))),
+  async open({ url }) {
+    const { nRows, crs, bounds } = await open(url);
+    return { nRows, crs, bounds };
   },
-  async geotiff(path, window) {
-    const { fromArrayBuffer } = await import("geotiff"); // installed by npm in this folder
-    const { row, col, nRows, nCols } = window ?? {};
-    const options = window ? { window: [col, row, col + nCols, row + nRows] } : {};
-    return timed(path, async (bytes) => {
-      const tiff = await fromArrayBuffer(bytes);
-      const image = await tiff.getImage();
-      return (await image.readRasters(options))[0];
-    });
+  async values({ url, x, y, row, col }) {
+    const terrain = await open(url);
+    return {
+      sample: await terrain.sample(x, y),
+      coarse: await terrain.sample(x, y, { level: 1 }),
+      blockError: await terrain.blockError(-1, row, col),
+      rootError: await terrain.blockError(0, 0, 0),
+      transform: terrain.transform(0),
+      maxError: terrain.maxError,
+    };
+  },
+  async side({ path, url, clock = "clock", ...question }) {
+    timedSide ??= sides(terrainwave, await import("geotiff"), digestOf);
+    return timedSide({ name: url ?? path, from: url ?? await bytesOf(path), clock: CLOCKS[clock], ...question });
   },
 };
 
 for await (const line of createInterface({ input: process.stdin })) {
-  const { what, path, window, ...more } = JSON.parse(line);
-  console.log(JSON.stringify(await WORK[what](path, window, more)));
+  const { what, ...question } = JSON.parse(line);
+  console.log(JSON.stringify(await WORK[what](question)));
 }
 
 process.exit(); // whatever workers geotiff.js keeps

@@ -1,7 +1,7 @@
 /** Reads that are timed alike in Node and on pages: by terrainwave and by geotiff.js, as their users call them. */
 
-/** `terrainwave` and `geotiff` are the modules; `digest` returns a promise of what stands for an array. */
-export function sides(terrainwave, geotiff, digest) {
+/** `terrainwave` and `geotiff` are the modules; `digestOf` returns a promise of what stands for an array. */
+export function sides(terrainwave, geotiff, digestOf) {
   const pools = new Map(); // by number of workers: users of geotiff.js keep one
   const poolOf = (n) => {
     if (n > 0 && !pools.has(n)) pools.set(n, new geotiff.Pool(n));
@@ -28,10 +28,10 @@ export function sides(terrainwave, geotiff, digest) {
 
   /**
    * Return { seconds, digest } of a read of `window`: one thread opens the file, too; by workers it is open,
-   * and they run. `name` is the file's; a `from` that is no URL is in memory.
+   * and they run. `name` is the file's; a `from` that is no URL is in memory. `clock` returns seconds.
    */
-  return async ({ who, name, from, window, workers }) => {
-    const start = performance.now();
+  return async ({ who, name, from, window, workers, clock = () => performance.now() / 1000 }) => {
+    const start = clock();
     let file = workers > 0 && kept.get(who)?.name === name ? kept.get(who).file : null;
     if (!file) {
       await kept.get(who)?.file.close?.();
@@ -40,8 +40,8 @@ export function sides(terrainwave, geotiff, digest) {
       if (workers > 0) kept.set(who, { name, file });
     }
     const heights = await READ[who](file, window, workers);
-    const seconds = (performance.now() - start) / 1000;
-    if (workers === 0) await file.close?.();
-    return { seconds, digest: await digest(heights) };
+    if (workers === 0) await file.close?.(); // as Python's "with" does
+    const seconds = clock() - start;
+    return { seconds, digest: await digestOf(heights) };
   };
 }

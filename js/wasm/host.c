@@ -1,27 +1,24 @@
 /*
- * What js/src/core.js calls: one file in an instance, and one window at a time. Functions return a twz_status, those
+ * Functions that js/src/core.js calls: one file in an instance, and one window at a time. They return a twz_status, those
  * with `need` in their name the number of ranges, or a status less than 0. Sizes and offsets are doubles, which
  * hold them exactly: no BigInt crosses.
  */
 #include <stdlib.h>
 
-#include "internal.h"
-#include "root.h"
-
-#define EXPORT(name) __attribute__((export_name(#name)))
+#include "host.h"
 
 enum { MOST_RANGES = 1024 };
 
-static twz_file *file;
+twz_file *file;
+twz_error error;
+twz_range ranges[MOST_RANGES];
+uint8_t *given;
+size_t n_given;
+double told[3 * MOST_RANGES];
 static twz_window *window;
-static twz_error error;
 static twz_box box;
-static twz_range ranges[MOST_RANGES];
-static uint8_t *given;      /* bytes of the file that JavaScript has */
-static size_t n_given;
-static uint8_t *raw, *valid; /* of rows of the window */
+static uint8_t *raw, *valid, *own; /* of rows of the window */
 static size_t n_raw;
-static double told[3 * MOST_RANGES];
 
 EXPORT(error_text) const char *error_text(void) { return error.text; }
 
@@ -37,7 +34,7 @@ EXPORT(room_for) uint8_t *room_for(size_t n) {
   return given;
 }
 
-static int ranges_told(twz_status status, size_t n) {
+int ranges_told(twz_status status, size_t n) {
   if (status != TWZ_OK) return -(int)status;
   for (size_t i = 0; i < n; i++) {
     told[3 * i] = (double)ranges[i].offset;
@@ -62,8 +59,9 @@ EXPORT(end_file) void end_file(void) {
   free(given);
   free(raw);
   free(valid);
+  free(own);
   file = NULL;
-  given = raw = valid = NULL;
+  given = raw = valid = own = NULL;
   n_given = n_raw = 0;
 }
 
@@ -113,53 +111,28 @@ EXPORT(feed_window) int feed_window(double offset, size_t n) {
   return twz_window_feed(window, (uint64_t)offset, given, n, &error);
 }
 
-static size_t void_sample(uint8_t *bytes) {
-  const twz_info *i = twz_file_info(file);
-  double number = i->has_nodata ? i->nodata : 0;
-  float single = (float)number;
-  uint32_t whole = (uint32_t)(int64_t)(i->dtype >= TWZ_FLOAT32 ? 0 : number);
-  if (i->dtype >= TWZ_FLOAT32 && !i->has_nodata) number = single = __builtin_nanf("");
-  if (i->dtype == TWZ_FLOAT64) memcpy(bytes, &number, 8);
-  else if (i->dtype == TWZ_FLOAT32) memcpy(bytes, &single, 4);
-  else memcpy(bytes, &whole, 4);
-  return i->dtype_bytes;
-}
-
-/* Take fills out: they are void in the full grid. */
-static twz_status leave_fills_out(const twz_box *part) {
-  size_t n = (size_t)part->n_rows * part->n_cols;
-  uint8_t *own = malloc(n), bytes[8];
-  if (!own) return twz_no_memory(&error, n);
-  twz_status status = twz_window_read_own_part(window, part, own, 0, &error);
-  size_t size = void_sample(bytes);
-  for (size_t i = 0; i < n && status == TWZ_OK; i++) {
-    if (valid[i] == own[i]) continue;
-    valid[i] = own[i];
-    memcpy(raw + i * size, bytes, size);
-  }
-  free(own);
-  return status;
-}
-
 EXPORT(decode_window) int decode_window(void) { return twz_window_decode(window, NULL, &error); }
 
-/* Read n rows of a decoded window from a row of it on; without its fills if `is_exact`. Tell where heights and validity
- * are, until the next call. */
+/* Read n rows of a decoded window from a row of it on. Tell where heights and validity are, until the next call, and if
+ * `is_exact` the validity in the full grid, without fills. */
 EXPORT(read_rows) int read_rows(uint32_t row, uint32_t n_rows, int is_exact) {
   twz_box part = {box.row + row, box.col, n_rows, box.n_cols};
   size_t n = (size_t)n_rows * box.n_cols, size = twz_file_info(file)->dtype_bytes;
   if (n > n_raw) {
     free(raw);
     free(valid);
+    free(own);
     raw = malloc(n * size);
     valid = malloc(n);
-    n_raw = raw && valid ? n : 0;
+    own = malloc(n);
+    n_raw = raw && valid && own ? n : 0;
     if (n_raw == 0) return twz_no_memory(&error, n * size);
   }
   TRY(twz_window_read_part(window, &part, raw, 0, valid, 0, &error));
-  if (is_exact) TRY(leave_fills_out(&part));
+  if (is_exact) TRY(twz_window_read_own_part(window, &part, own, 0, &error));
   told[0] = (double)(uintptr_t)raw;
   told[1] = (double)(uintptr_t)valid;
+  told[2] = (double)(uintptr_t)own;
   return TWZ_OK;
 }
 
@@ -170,38 +143,3 @@ EXPORT(block_error) int block_error(uint32_t row, uint32_t col) {
   told[0] = (double)block.error * (double)file->header.quantum_num / (double)file->header.quantum_den;
   return TWZ_OK;
 }
-
-/* ---- Digests ---- */
-
-static uint8_t digest[DIGEST_SIZE];
-static char root[TWZ_ROOT_SIZE];
-
-EXPORT(digest_at) const uint8_t *digest_at(void) { return digest; }
-EXPORT(root_at) const char *root_at(void) { return root; }
-
-/* Digest what was given: heights of the file's dtype, at most 512 x 512, and their validity behind them. */
-EXPORT(digest_given) int digest_given(uint32_t n_rows, uint32_t n_cols) {
-  size_t n = (size_t)n_rows * n_cols, size = twz_file_info(file)->dtype_bytes;
-  if (n_rows > ROOT_TILE || n_cols > ROOT_TILE || n * (size + 1) > n_given)
-    return twz_fail(&error, TWZ_BAD_ARGUMENT, "found a tile of %u x %u heights, expected at most %d x %d, all of them given",
-                    (unsigned)n_rows, (unsigned)n_cols, ROOT_TILE, ROOT_TILE);
-  root_tile(file->header.dtype, given, given + n * size, n_rows, n_cols, digest);
-  return TWZ_OK;
-}
-
-/* Make the root of n bytes that were given: digests of all tiles of 512 x 512, row by row. */
-EXPORT(root_of_given) int root_of_given(size_t n) { return root_of_tiles(file, given, n, root, &error); }
-
-/* Tell whether the file states digests, and where their tail lies. */
-EXPORT(digests_need) int digests_need(void) {
-  ranges[0].offset = file->file_size - LEAST_DIGESTS;
-  ranges[0].length = LEAST_DIGESTS;
-  ranges[0].is_page = 0;
-  return file->grid.has_digests ? ranges_told(TWZ_OK, 1) : 0;
-}
-
-/* Tell where the top digest lies, by the tail that was given. */
-EXPORT(top_need) int top_need(void) { return ranges_told(root_place(file, given, ranges, &error), 1); }
-
-/* Make the root of the top digest that was given. */
-EXPORT(root_of_top_given) void root_of_top_given(void) { root_stated(file, given, root); }

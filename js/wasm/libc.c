@@ -1,5 +1,5 @@
 /*
- * What native/src takes of C's library. A libc for WebAssembly would do, and bring the printing of floats, files and
+ * The part of C's library that native/src calls. A libc for WebAssembly would do, and bring the printing of floats, files and
  * imports that a page has to provide.
  */
 #include <stdarg.h>

@@ -51,7 +51,7 @@ def module(core, unpack, digest):
 /** native/src and js/wasm as WebAssembly, in base 64, written by js/wasm/build.sh. */
 /** SHA-256 of what it was made of, which a test compares. */
 export const SOURCES = "{digest}";
-/** What unpacks the other one, and what that is then: LZMA without a header. */
+/** A module that unpacks the other one, and the latter's size then: LZMA without a header. */
 // prettier-ignore
 export const UNPACK = "{text_of(unpack)}";
 export const N_BYTES = {len(core)};

@@ -26,7 +26,7 @@ static uint16_t probabilities[N_PROBABILITIES];
 static const uint8_t *next;
 static uint32_t range, code;
 
-/* Where the stream belongs. */
+/* The place of the stream. */
 EXPORT(place) uint8_t *place(void) { return &__heap_base; }
 
 static void normalize(void) {

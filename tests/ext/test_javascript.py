@@ -24,18 +24,20 @@ JS = Path(__file__).parents[2] / "js"
 pytestmark = pytest.mark.full
 
 
-def node(*arguments, cwd=JS):
-    """Return what a script prints."""
+def node(*arguments, cwd=JS, told=None):
+    """Return what a script prints that is told a text."""
     done = subprocess.run(
         ["node", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=600,
-        check=False,
+        check=False, input=told,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
-def dump(*arguments):
-    return json.loads(node("testing/dump.js", *arguments))
+def ask(*questions):
+    """Return the answers to questions about files."""
+    lines = node("testing/serve.js", told="\n".join(map(json.dumps, questions)))
+    return [json.loads(line) for line in lines.splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -69,13 +71,13 @@ def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
     manifest = json.loads((GOLDEN / "v2" / "manifest.json").read_text())
     paths = [GOLDEN / "v2" / name for name in manifest["files"]]
     assert len(paths) >= 58
-    found = dump("digests", *paths, twz)
-    for path in (*paths, twz):
-        assert found[str(path)] == digests(path)
+    paths.append(twz)
+    found = ask(*({"what": "digests", "path": str(path)} for path in paths))
+    assert found == [digests(path) for path in paths]
 
 
 def test_it_opens_a_url_by_two_requests_at_most(server, twz):
-    found = dump("open", server.url(twz.name))
+    (found,) = ask({"what": "open", "url": server.url(twz.name)})
     assert 1 <= server.n_requests <= 2
     with terrainwave.open(twz) as terrain:
         assert found["nRows"] == terrain.shape[0]
@@ -93,7 +95,8 @@ def test_the_module_has_at_most_160_kb_compressed():
 
 def test_places_and_errors_are_those_of_python(server, twz):
     x, y = 8.2503, 46.2041
-    found = dump("values", server.url(twz.name), x, y, 1, 2)
+    place = {"x": x, "y": y, "row": 1, "col": 2}
+    (found,) = ask({"what": "values", "url": server.url(twz.name), **place})
     with terrainwave.open(twz) as terrain:
         assert found["sample"] == pytest.approx(terrain.sample([(x, y)])[0], rel=1e-9)
         assert found["coarse"] == pytest.approx(terrain.sample([(x, y)], level=1)[0], rel=1e-9)

@@ -244,6 +244,50 @@ def test_what_would_be_read_wrong_is_refused_with_a_command_that_helps(tmp_path,
         assert found["problems"] == []
 
 
+@pytest.mark.filterwarnings("ignore:.*found 2 bands")
+@pytest.mark.parametrize("interleave", ["pixel", "band"])
+def test_an_uncompressed_strip_of_all_rows_is_read_by_parts(tmp_path, interleave):
+    heights = hills(1100, 90)
+    heights[1090, 7] = 3
+    profile = {
+        "driver": "GTiff", "height": 1100, "width": 90, "count": 2, "dtype": "int16",
+        "blockysize": 1100, "interleave": interleave, "transform": TRANSFORM,
+    }  # fmt: skip
+    source, changed = tmp_path / "a.tif", tmp_path / "b.tif"
+    for path in (source, changed):
+        with rasterio.open(path, "w", **profile) as raster:
+            raster.write(heights, 1)
+            raster.write(heights[::-1], 2)
+        heights = heights.copy()
+        heights[1090, 7] += 9
+    for band in (1, 2):
+        twz = tmp_path / f"{band}.twz"
+        terrainwave.compress(source, twz, max_error=2, band=band)
+        same, other = compared(twz, source, changed, band=band)
+        assert same["problems"] == []
+        assert same["nValid"] == heights.size
+        row = 1090 if band == 1 else 9
+        assert f"the worst, at row {row}, column 7" in other["problems"][0]
+
+
+def test_a_compressed_strip_too_large_to_be_decoded_as_a_whole_is_refused(tmp_path):
+    profile = {
+        "driver": "GTiff", "height": 12000, "width": 12000, "count": 1, "dtype": "uint8",
+        "blockysize": 12000,
+    }  # fmt: skip
+    sources = {"DEFLATE": tmp_path / "packed.tif", "NONE": tmp_path / "plain.tif"}
+    for compress, path in sources.items():
+        with rasterio.open(path, "w", compress=compress, **profile) as raster:
+            raster.write(np.zeros((12000, 12000), np.uint8), 1)
+    twz = compressed(tmp_path, write_raster(tmp_path / "small.tif", hills(90, 120), BOUNDS), 3)
+    packed, plain = (found["error"] for found in compared(twz, *sources.values()))
+    assert packed == (
+        "found a GeoTIFF of strips of 12000 x 12000 samples, expected at most 100 MiB in each:"
+        " convert it with gdal_translate -co TILED=YES, and choose the new file"
+    )
+    assert plain.startswith("found a GeoTIFF of 12000 rows x 12000 columns, expected 90 rows")
+
+
 @pytest.mark.parametrize(
     ("dtype", "nodata"),
     [("uint16", "-9999"), ("uint16", "nan"), ("uint16", "1e20"), ("int16", "-0"),

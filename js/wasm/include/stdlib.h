@@ -1,4 +1,4 @@
-/* What the library takes of C's own headers: libc.c has it. */
+/* Declarations that the library takes of C's own headers: libc.c has the functions. */
 #pragma once
 #include <stddef.h>
 

@@ -1,4 +1,4 @@
-// What the page is told by where it is: on a web server by terrains.json and the address. In
+// Answers to the page by the place where it is: on a web server by terrains.json and the address. In
 // notebooks another module has this place (js/notebook/host.js).
 import * as permalink from "./permalink.js";
 import { terrains as asked } from "./terrains.js";

@@ -6,7 +6,7 @@
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl, addProtocol, setWorkerUrl } from "./maplibre/maplibre-gl.js";
 import { gradientOf, reliefOf, roundedUp, stopsOf, ticksOf, withUnit, written } from "./colours.js";
-import { copyable } from "./copying.js";
+import { copyable, element, list, made } from "./elements.js";
 import { homeOf, isNarrow } from "./home.js";
 import * as host from "./host.js";
 
@@ -23,7 +23,6 @@ const RIM = 4;
 const AROUND = 0.02;
 const MILLISECONDS_BETWEEN_HEIGHTS = 80;
 
-const element = (id) => document.getElementById(id);
 // Colours that nobody chose are those of the terrain.
 const state = { terrain: null, times: 1, colours: null, shaded: true };
 let terrains = [];
@@ -32,7 +31,7 @@ let map = null;
 let generation = 0; // of the terrain that is shown
 let styled = 0; // the generation whose style the map has
 
-// What the page says of itself: waiting, complete or failed.
+// State of the page: waiting, complete or failed.
 
 function tell(condition, message = "") {
   document.body.dataset.state = condition;
@@ -67,7 +66,10 @@ function boundsWithRim([west, south, east, north]) {
     turns ? 180 : east + wide, Math.min(north + high, 85.0511)];
 }
 
-function styleOf({ terrain, times, shaded }) {
+const relief = () => reliefOf(stopsOf(state.terrain, state.colours), state.terrain.encoding);
+const visibility = () => (state.shaded ? "visible" : "none");
+
+function styleOf({ terrain, times }) {
   const addresses = (kind, query) => source.tilesOf(terrain, kind, `rim=${RIM}${query}`);
   const tiles = { tileSize: 256, bounds: boundsWithRim(terrain.bounds), maxzoom: terrain.maxzoom };
   const { encoding } = terrain;
@@ -91,11 +93,11 @@ function styleOf({ terrain, times, shaded }) {
       { id: "ground", type: "background", paint: { "background-color": GROUND } },
       {
         id: "tints", type: "color-relief", source: "shading",
-        paint: { "color-relief-color": reliefOf(stopsOf(terrain, state.colours), encoding) },
+        paint: { "color-relief-color": relief() },
       },
       {
         id: "shading", type: "hillshade", source: "shading",
-        layout: { visibility: shaded ? "visible" : "none" },
+        layout: { visibility: visibility() },
         paint: { "hillshade-exaggeration": 0.55, "hillshade-shadow-color": "#20303c" },
       },
       { id: "voids", type: "raster", source: "voids", paint: { "raster-fade-duration": 0 } },
@@ -117,9 +119,8 @@ function apply() {
   showLegend();
   if (styled === generation) { // otherwise the style on its way gets it
     map.setTerrain({ source: "heights", exaggeration: state.times });
-    const relief = reliefOf(stopsOf(state.terrain, state.colours), state.terrain.encoding);
-    map.setPaintProperty("tints", "color-relief-color", relief);
-    map.setLayoutProperty("shading", "visibility", state.shaded ? "visible" : "none");
+    map.setPaintProperty("tints", "color-relief-color", relief());
+    map.setLayoutProperty("shading", "visibility", visibility());
   }
   keepPermalink();
 }
@@ -154,26 +155,13 @@ function home(terrain) {
   map.fitBounds(bounds, { pitch, bearing: 0, animate: false, padding });
 }
 
-// The panel. Texts of files are untrusted: they are set as text, never as HTML.
-
-/** Show [name, text], … in a list of descriptions. */
-export function list(id, entries) {
-  element(id).replaceChildren(...entries.flatMap(([name, text]) => {
-    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
-    term.textContent = name;
-    told.textContent = text;
-    return [term, told];
-  }));
-}
+// The panel.
 
 function describe(terrain) {
-  const error = roundedUp(terrain.error, 3);
-  const strong = document.createElement("strong");
-  strong.textContent = `± ${withUnit(error, terrain)}`;
   element("about").replaceChildren(
     `${terrain.columns} × ${terrain.rows} samples in ${(terrain.bytes / 1e6).toFixed(2)} MB,`
     + ` ${terrain.bits_per_sample.toFixed(2)} bit each. Every height within `,
-    strong,
+    made("strong", {}, `± ${withUnit(roundedUp(terrain.error, 3), terrain)}`),
     " of the original.",
   );
   list("tags", Object.entries(terrain.origin));
@@ -191,10 +179,8 @@ function showLegend() {
   const [low, high] = [stops[0][0], stops.at(-1)[0]];
   element("bar").style.background = gradientOf(stops);
   element("ticks").replaceChildren(...ticksOf(low, high).map((height) => {
-    const tick = document.createElement("span");
-    tick.textContent = withUnit(written(height, high - low), state.terrain);
-    tick.style.left = `${100 * (height - low) / (high - low)}%`;
-    return tick;
+    const style = `left: ${100 * (height - low) / (high - low)}%`;
+    return made("span", { style }, withUnit(written(height, high - low), state.terrain));
   }));
 }
 
@@ -303,18 +289,13 @@ function connect() {
   element("fly").addEventListener("click", fly);
   element("home").addEventListener("click", () => home(state.terrain));
   element("again").addEventListener("click", () => show(state.terrain, {}));
-  element("times").addEventListener("input", ({ target }) => {
-    state.times = Number(target.value);
+  const choose = (id, event, chosen) => element(id).addEventListener(event, ({ target }) => {
+    state[id] = chosen(target);
     apply();
   });
-  element("colours").addEventListener("change", ({ target }) => {
-    state.colours = target.value;
-    apply();
-  });
-  element("shaded").addEventListener("change", ({ target }) => {
-    state.shaded = target.checked;
-    apply();
-  });
+  choose("times", "input", ({ value }) => Number(value));
+  choose("colours", "change", ({ value }) => value);
+  choose("shaded", "change", ({ checked }) => checked);
   element("terrain").addEventListener("change", ({ target }) => {
     show(terrains.find(({ name }) => name === target.value));
   });
