@@ -117,10 +117,7 @@ def make_files(raster: Path, bound: float, folder: Path) -> dict[str, Path]:
 
 
 def seconds_of(ask: Ask, path: Path, window: Window, workers: int, place: dict[str, str]) -> float:
-    """Return what one read takes of a file at a `place`, its path or URL, if it is right.
-
-    A `clock` in `place` is "clock" or "processor".
-    """
+    """Return what one read takes of a file at a `place`, its path or URL, if it is right."""
     question = {
         "who": "terrainwave" if path.suffix == ".twz" else "geotiff", "workers": workers, **place,
         "window": {

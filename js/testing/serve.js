@@ -14,15 +14,6 @@ const { open } = terrainwave;
 
 const bytesOf = async (path) => new Uint8Array(await readFile(path)).buffer;
 
-/** Seconds: of a clock, or of the processor, by all threads. */
-const CLOCKS = {
-  clock: () => performance.now() / 1000,
-  processor() {
-    const { user, system } = process.cpuUsage();
-    return (user + system) / 1e6;
-  },
-};
-
 let timedSide = null; // geotiff.js, installed by npm in this folder, is loaded when it is first asked for
 
 const WORK = {
@@ -42,9 +33,9 @@ const WORK = {
       maxError: terrain.maxError,
     };
   },
-  async side({ path, url, clock = "clock", ...question }) {
+  async side({ path, url, ...question }) {
     timedSide ??= sides(terrainwave, await import("geotiff"), digestOf);
-    return timedSide({ name: url ?? path, from: url ?? await bytesOf(path), clock: CLOCKS[clock], ...question });
+    return timedSide({ name: url ?? path, from: url ?? await bytesOf(path), ...question });
   },
 };
 

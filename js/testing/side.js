@@ -28,10 +28,10 @@ export function sides(terrainwave, geotiff, digestOf) {
 
   /**
    * Return { seconds, digest } of a read of `window`: one thread opens the file, too; by workers it is open,
-   * and they run. `name` is the file's; a `from` that is no URL is in memory. `clock` returns seconds.
+   * and they run. `name` is the file's; a `from` that is no URL is in memory.
    */
-  return async ({ who, name, from, window, workers, clock = () => performance.now() / 1000 }) => {
-    const start = clock();
+  return async ({ who, name, from, window, workers }) => {
+    const start = performance.now();
     let file = workers > 0 && kept.get(who)?.name === name ? kept.get(who).file : null;
     if (!file) {
       await kept.get(who)?.file.close?.();
@@ -41,7 +41,7 @@ export function sides(terrainwave, geotiff, digestOf) {
     }
     const heights = await READ[who](file, window, workers);
     if (workers === 0) await file.close?.(); // as Python's "with" does
-    const seconds = clock() - start;
+    const seconds = (performance.now() - start) / 1000;
     return { seconds, digest: await digestOf(heights) };
   };
 }

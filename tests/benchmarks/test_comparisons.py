@@ -1,20 +1,17 @@
 """What is timed of a peer is its own user's call: what it returns comes back untouched."""
 
 import importlib
-import importlib.util
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import click
 import numpy as np
 import pytest
 import rasterio
+from rasterio.windows import Window
 
-from benchmarks import windows
-from benchmarks.rasters import load_raster
-
-JS_TOOL = Path(__file__).parents[2] / "js" / "tools" / "against_python.py"
+import terrainwave
+from benchmarks import javascript, windows
 
 
 @pytest.fixture
@@ -103,21 +100,12 @@ def test_steps_of_fixed_scale_offset_use_the_bound_and_keep_it(load, max_error):
 
 
 def test_heights_in_javascript_that_differ_from_python_stop_the_measurement(tmp_path):
-    spec = importlib.util.spec_from_file_location("against_python", JS_TOOL)
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    dem = make_dem(tmp_path / "a.tif", 64)
-    path = tmp_path / "a.twz"
-    tool.terrainwave.compress(dem, path, max_error=0, mesh="none")
-    right = tool.digest(load_raster(dem).heights)
-
-    def node(of_ours, of_peer):
-        answers = {"terrainwave": of_ours, "geotiff": of_peer}
-        return SimpleNamespace(
-            ask=lambda what, path, place: {"digest": answers[what], "seconds": 1.0}
-        )
-
-    assert tool.seconds_of_all(node(right, right), path, dem, None)[1:] == [1.0, 1.0]
-    for wrong in ((right, "other"), ("other", right)):
+    dem, path = make_dem(tmp_path / "a.tif", 64), tmp_path / "a.twz"
+    terrainwave.compress(dem, path, max_error=0, mesh="none")
+    whole = Window(0, 0, 64, 64)
+    for file in (dem, path):
+        right = javascript.expected_of(file, whole)
+        found = {"digest": right, "seconds": 1.0}
+        assert javascript.seconds_of(lambda _question, f=found: f, file, whole, 0, {}) == 1.0
         with pytest.raises(SystemExit, match="not what Python and GDAL read"):
-            tool.seconds_of_all(node(*wrong), path, dem, None)
+            javascript.seconds_of(lambda _question: {"digest": "other"}, file, whole, 0, {})
