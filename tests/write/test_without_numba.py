@@ -1,5 +1,7 @@
 """Does the native library leave nothing to numba where the default method encodes and reads?"""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from commands import environment, python_with
@@ -44,3 +46,25 @@ def test_compress_read_and_verify_import_no_numba(dtype, library, tmp_path, monk
         heights = file.read(1)
     assert np.nanmax(np.abs(own.astype(np.float64) - heights)) <= 1
     np.testing.assert_array_equal(np.isnan(own), np.isnan(heights))
+
+
+SLOW = """
+import time
+time.sleep(0.5)
+
+def doubled(x):
+    return 2 * x
+"""
+
+
+def test_a_thread_waits_for_a_module_that_another_one_is_importing(library, tmp_path, monkeypatch):
+    (tmp_path / "slow_module.py").write_text(SLOW, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv(native_library.SWITCH, "1")
+
+    @native_library.also_in_c("slow_module")
+    def doubled(x):
+        return x
+
+    with ThreadPoolExecutor(2) as threads:
+        assert list(threads.map(doubled, range(2))) == [0, 2]

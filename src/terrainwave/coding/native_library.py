@@ -7,7 +7,6 @@ compiles: bytes and heights are the same. `also_in_c` is the one place that choo
 import ctypes
 import importlib
 import os
-import sys
 import warnings
 from collections.abc import Callable
 from functools import cache, wraps
@@ -180,8 +179,8 @@ def also_in_c(module: str) -> Callable[[_Function], _Function]:
         def chosen(*arguments: Any, **options: Any) -> Any:
             if not is_used():
                 return function(*arguments, **options)
-            found = sys.modules.get(module) or importlib.import_module(module)
-            return getattr(found, name)(*arguments, **options)
+            # Not by `sys.modules`: another thread may still be importing it.
+            return getattr(importlib.import_module(module), name)(*arguments, **options)
 
         return cast(_Function, chosen)
 
