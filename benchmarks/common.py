@@ -196,11 +196,13 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def keep_rows(path: Path, is_kept: Callable[[dict[str, Any]], bool]) -> None:
-    """Leave of a CSV the rows that are to be kept, each as it is; nothing if there is no file."""
+    """Leave of a CSV the rows that are to be kept, each as it is; no file if there are none."""
     if path.exists():
         head, *lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
         kept = [line for line, row in zip(lines, read_rows(path), strict=True) if is_kept(row)]
         path.write_text("".join([head, *kept]), encoding="utf-8", newline="")
+        if not kept:
+            path.unlink()
 
 
 def _number(text: str) -> int | float | str:
@@ -294,8 +296,8 @@ def _code(path: Path) -> bytes:
             lines[node.body[0].lineno - 1 : node.body[0].end_lineno] = [""] * (
                 node.body[0].end_lineno - node.body[0].lineno + 1
             )
-    comments = ("#",) if path.suffix == ".py" else ("//", "/*", "*")
-    return "\n".join(line for line in lines if line and not line.startswith(comments)).encode()
+    bare = "\n".join(line for line in lines if line and not line.startswith(("# ", "//")))
+    return re.sub(r"/\*.*?\*/\n?", "", bare, flags=re.DOTALL).encode()
 
 
 # --- runs ---

@@ -5,7 +5,7 @@ its proof, making a COG (LERC_ZSTD, the same bound), and from the compressed fil
 ``terrainwave tiles``, terrain-RGB tiles (.pmtiles, lossless WebP) and quantized-mesh tiles; then
 reading all heights, of tiles those of the finest zoom. Meshes are not read back to heights. A first
 view has 1024 x 1024 samples of full resolution in the middle: a file and a COG are opened and read
-by http, and of tiles as many are counted as such a view can touch, each of the mean size.
+by http, and of tiles as many are counted as such a view can touch, each of the median size.
 """
 
 import io
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from math import inf
 from pathlib import Path
-from statistics import mean
+from statistics import median
 
 import numpy as np
 import rasterio
@@ -94,18 +94,22 @@ def measure(dem: Path, size: int, bound: float, folder: Path) -> Iterator[Row]:
     images = [image for (zoom, _, _), image in found if zoom == finest]
     reading, views = seconds_of(partial(read_archive, images)), _of_view(map(len, images), 256)
     n_bytes = archive.stat().st_size
-    yield row("terrain-RGB tiles", n_bytes, compressing + tiling, reading, *views)
+    yield row(
+        "terrain-RGB tiles, by `terrainwave tiles`", n_bytes, compressing + tiling, reading, *views
+    )
     tiling = seconds_of_tiles(files["terrainwave"], meshes)
     sizes = {path: path.stat().st_size for path in meshes.rglob("*.terrain")}
     finest = max(int(path.relative_to(meshes).parts[0]) for path in sizes)
     views = _of_view((sizes[path] for path in meshes.glob(f"{finest}/**/*.terrain")), CELLS)
-    yield row("quantized-mesh tiles", sum(sizes.values()), compressing + tiling, 0, *views)
+    yield row(
+        "quantized-mesh tiles, likewise", sum(sizes.values()), compressing + tiling, 0, *views
+    )
 
 
 def _of_view(sizes: Iterable[int], side: int) -> tuple[int, float]:
     """Return how many tiles of `side` samples a view can touch, and their bytes."""
     n = (-(-VIEW // side) + 1) ** 2
-    return n, n * mean(sizes)
+    return n, n * median(sizes)
 
 
 @common.command("country.csv")

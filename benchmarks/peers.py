@@ -184,7 +184,10 @@ class _CogOfSteps(_Cog):
                 found if raster.mask.all() else np.where(decoded == void, dtype.type(nodata), found)
             )
 
-        return super().calls(whole, 0, 1.0)._replace(heights=heights)
+        calls = super().calls(whole, 0, 1.0)
+        with rasterio.open(self._source, "r+") as source:
+            source.offsets, source.scales = quantizer[:1], quantizer[1:]
+        return calls._replace(heights=heights)
 
 
 # Codecs of integers: indices of the largest step that keeps the bound.
@@ -237,7 +240,8 @@ class _JpegXl(Codec):
         """Refuse more than 65536 indices, and steps smaller than floats can carry."""
         if not raster.quantum and max_error <= raster.ulp:
             return "bound below the dtype's precision"
-        n_indices = quantize_indices(raster, max_error).values.max() + 1
+        valid = replace(raster, heights=raster.valid)
+        n_indices = quantize_indices(valid, max_error).values.max() + 1
         return "more than 65536 indices" if n_indices > 65536 else ""
 
     def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:

@@ -93,18 +93,22 @@ def provenance(name: str, results: Path) -> list[str]:
         if not path.exists():
             continue
         about = json.loads(path.read_text(encoding="utf-8"))
-        machines = {line["processor"]: line for line in (*about.pop("earlier", []), about)}
+        machines: dict[str, Rows] = defaultdict(list)
+        for machine in (*about.pop("earlier", []), about):
+            machines[machine["processor"]].append(machine)
         measured = {row.get("processor") for row in read(results, one)} - {None} or set(machines)
-        for processor, machine in machines.items():
-            if processor in measured:
-                how = f"commit {machine['commit']} on {processor}"
-                if path.parent.name == "archive":
-                    how += "; **by a script that is gone**"
-                elif code_of(one) and machine.get("code") != code_of(one):
-                    how += "; **the code has changed since**"
-                found[how].append(f"`{one}.csv`")
-    measured_at = [f"{how} ({', '.join(names)})" for how, names in found.items()]
-    return ["", f"Measured at {' and '.join(measured_at)}."] if measured_at else []
+        for processor in measured & machines.keys():
+            commits = {line["commit"] or "unknown": None for line in machines[processor]}
+            how = f"commit {', '.join(commits)} on {processor}"
+            if path.parent.name == "archive":
+                how += "; **by a script that is gone**"
+            elif code_of(one) and {line.get("code") for line in machines[processor]} != {
+                code_of(one)
+            }:
+                how += "; **the code has changed since**"
+            found[how].append(f"`{one}.csv`")
+    lines = [f"Measured at {how} ({', '.join(names)})." for how, names in sorted(found.items())]
+    return ["", *lines] if lines else []
 
 
 def numbers(name: str, results: Path) -> str:

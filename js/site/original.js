@@ -63,13 +63,15 @@ export class Original {
   /** Make strips of some rows of an uncompressed one that has all rows: geotiff.js reads strips as a whole. */
   async #cutStrip() {
     const { fileDirectory: tags } = this.#image;
-    const isOne = !this.isTiled && this.tileRows > ROWS_AT_ONCE && this.tileRows >= this.nRows;
+    const nRows = Math.max(Math.min(ROWS_AT_ONCE, Math.floor(MOST_DECODED / this.#bytesOfRow(0))), 1);
+    const isOne = !this.isTiled && this.tileRows > nRows && this.tileRows >= this.nRows;
     if (!isOne || (tags.getValue("Compression") ?? 1) !== 1) return;
-    const starts = Array.from({ length: Math.ceil(this.nRows / ROWS_AT_ONCE) }, (_, i) => i * ROWS_AT_ONCE);
+    const starts = Array.from({ length: Math.ceil(this.nRows / nRows) }, (_, i) => i * nRows);
     const offsets = await tags.loadValue("StripOffsets"); // one of each plane
-    const strips = [...offsets].flatMap((offset, plane) => starts.map((row) =>
-      [offset + row * this.#bytesOfRow(plane), Math.min(ROWS_AT_ONCE, this.nRows - row) * this.#bytesOfRow(plane)]));
-    tags.actualizedFields.set(TAGS.RowsPerStrip, ROWS_AT_ONCE);
+    const sizes = await tags.loadValue("StripByteCounts"); // 0: a plane that was not written
+    const strips = [...offsets].flatMap((offset, plane) => starts.map((row) => (sizes[plane] === 0 ? [0, 0]
+      : [offset + row * this.#bytesOfRow(plane), Math.min(nRows, this.nRows - row) * this.#bytesOfRow(plane)])));
+    tags.actualizedFields.set(TAGS.RowsPerStrip, nRows);
     tags.actualizedFields.set(TAGS.StripOffsets, strips.map(([offset]) => offset));
     tags.actualizedFields.set(TAGS.StripByteCounts, strips.map(([, size]) => size));
   }

@@ -23,7 +23,11 @@ export class Mailbox {
     const id = this.#n++;
     const answer = new Promise((resolve, reject) => this.#asked.set(id, { resolve, reject }));
     if (this.#failure) this.settle({ id, error: this.#failure });
-    else this.#port.postMessage({ ...question, id });
+    try {
+      if (!this.#failure) this.#port.postMessage({ ...question, id });
+    } catch (error) { // something in it cannot be sent
+      this.settle({ id, error });
+    }
     return answer;
   }
 

@@ -7,6 +7,7 @@ import { fileURLToPath } from "node:url";
 import { promisify } from "node:util";
 
 import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
+import { Mailbox } from "../src/mailbox.js";
 import { WorkerPool } from "../src/workers.js";
 import { GOLDEN, Parts, golden } from "../testing/files.js";
 import { digests } from "../testing/levels.js";
@@ -91,4 +92,10 @@ test("idle workers let a process end", async () => {
 test("numbers of workers are checked", async () => {
   const bytes = await golden("rapid-uint8");
   for (const workers of [-1, 0.5, 65, "2"]) await assert.rejects(open(bytes, { workers }), ArgumentError);
+});
+
+test("a question that cannot be sent is refused, and nothing waits for its answer", async () => {
+  const mailbox = new Mailbox({ postMessage: (question) => structuredClone(question) });
+  await assert.rejects(mailbox.ask({ call: () => 1 }), { name: "DataCloneError" });
+  assert.equal(mailbox.size, 0);
 });

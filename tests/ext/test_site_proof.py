@@ -270,6 +270,33 @@ def test_an_uncompressed_strip_of_all_rows_is_read_by_parts(tmp_path, interleave
         assert f"the worst, at row {row}, column 7" in other["problems"][0]
 
 
+@pytest.mark.filterwarnings("ignore:.*found 2 bands")
+def test_a_strip_that_was_not_written_stays_empty_when_it_is_read_by_parts(tmp_path):
+    profile = {
+        "driver": "GTiff", "height": 1100, "width": 90, "count": 2, "dtype": "int16",
+        "blockysize": 1100, "interleave": "band", "sparse_ok": True, "transform": TRANSFORM,
+    }  # fmt: skip
+    with rasterio.open(tmp_path / "a.tif", "w", **profile) as raster:
+        raster.write(hills(1100, 90), 1)
+    for band in (1, 2):
+        twz = tmp_path / f"{band}.twz"
+        terrainwave.compress(tmp_path / "a.tif", twz, max_error=0, band=band)
+        (found,) = compared(twz, tmp_path / "a.tif", band=band)
+        assert found["problems"] == []
+
+
+def test_a_wide_uncompressed_strip_is_read_by_fewer_rows(tmp_path):
+    profile = {
+        "driver": "GTiff", "height": 600, "width": 220_000, "count": 1, "dtype": "uint8",
+        "blockysize": 600,
+    }  # fmt: skip
+    with rasterio.open(tmp_path / "wide.tif", "w", **profile) as raster:
+        raster.write(np.zeros((600, 220_000), np.uint8), 1)
+    twz = compressed(tmp_path, write_raster(tmp_path / "small.tif", hills(90, 120), BOUNDS), 3)
+    (found,) = compared(twz, tmp_path / "wide.tif")
+    assert found["error"].startswith("found a GeoTIFF of 600 rows x 220000 columns, expected 90")
+
+
 def test_a_compressed_strip_too_large_to_be_decoded_as_a_whole_is_refused(tmp_path):
     profile = {
         "driver": "GTiff", "height": 12000, "width": 12000, "count": 1, "dtype": "uint8",

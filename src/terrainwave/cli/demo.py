@@ -91,7 +91,7 @@ def _draw(folder: Path, n_bytes: int) -> None:
     axes = figure.subplots(1, 3)
     decoded = _file(folder, bound)
     titles = {
-        _file(folder, 0.0): f"original: GeoTIFF, {n_bytes:,} bytes",
+        _file(folder, 0.0): f"original: GeoTIFF (DEFLATE), {n_bytes:,} bytes",
         decoded: f"every height within {bound:g} m: .twz, {decoded.stat().st_size:,} bytes",
     }
     heights = []
@@ -104,7 +104,7 @@ def _draw(folder: Path, n_bytes: int) -> None:
     metres, counts = np.unique(errors, return_counts=True)
     axes[2].bar(metres, 100 * counts / errors.size, width=0.7)
     axes[2].set(
-        title=f"errors: {metres[0]} to {metres[-1]} m, none beyond",
+        title=f"errors: {metres[0]} to {metres[-1]} m, none beyond".replace("-", "−"),
         xlabel="decoded − original, m", ylabel="% of the heights",
     )  # fmt: skip
     with storage_errors(f"cannot write {folder}"):
