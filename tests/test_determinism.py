@@ -82,7 +82,6 @@ def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, exp
 def test_spooling_to_disk_does_not_matter(monkeypatch, method, expected):
     monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", 0)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 100)
-    monkeypatch.setattr("terrainwave.container.spool._KEPT", 100)
     assert twz_bytes(HEIGHTS, method=method, **options_of(method)) == expected
 
 

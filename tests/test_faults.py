@@ -15,7 +15,7 @@ from strategies import terrain_like, write_geotiff
 from terrainwave.cli import main
 from terrainwave.codec import group
 from terrainwave.codec.refiner import Validity
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SectionFile
 from terrainwave.errors import (
     BoundViolationError,
     CorruptStreamError,
@@ -97,7 +97,7 @@ def test_a_full_disk_at_the_end_leaves_the_target_as_it_was(monkeypatch, target)
 def test_a_full_disk_while_spooling_payloads_leaves_the_target_as_it_was(
     monkeypatch, target, everything_on_disk
 ):
-    monkeypatch.setattr("terrainwave.container.spool.tempfile.mkstemp", full_disk)
+    monkeypatch.setattr("terrainwave.container.spool.tempfile.TemporaryFile", full_disk)
     with pytest.raises(StorageError, match="disk is full"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
@@ -307,14 +307,14 @@ def test_an_error_exactly_at_the_bound_is_not_a_violation(monkeypatch, tmp_path)
 
 
 def test_a_damaged_spool_is_noticed(tmp_path, monkeypatch, target, everything_on_disk):
-    spill = SegmentSpool._spill
+    write = SectionFile._write
 
     def damaging(self):
-        spill(self)
-        with open(self._path, "r+b") as file:
-            file.write(b"\xff\xff\xff")
+        write(self)
+        self._file.seek(0)
+        self._file.write(b"\xff\xff\xff")
 
-    monkeypatch.setattr(SegmentSpool, "_spill", damaging)
+    monkeypatch.setattr(SectionFile, "_write", damaging)
     with pytest.raises(StorageError, match="damaged"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)

@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from commands import environment, python
+from containers import copied_segments
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import (
@@ -23,8 +24,6 @@ from mesh_cases import (
 )
 
 import terrainwave
-from terrainwave.container.spool_sink import copied_segments
-from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.quadtree import Block, Region
@@ -329,13 +328,8 @@ def with_mesh_code(path, target, block, code):
         codes = {block: code}
         for one in (b for level in range(terrain.n_levels) for b in terrain.grid.blocks(level)):
             codes.setdefault(one, container.codes(one)[3])
-        with scratch_directory(target.parent, "codes") as directory:
-            spools = copied_segments(
-                terrain.grid, terrain.grid.segment_heads(), terrain.container, codes, directory
-            )
-            assemble(file, replace(container.header), spools)
-            for spool in spools.values():
-                spool.close()
+        spools = copied_segments(terrain, codes, target.parent)
+        assemble(file, replace(container.header), spools)
     return target
 
 

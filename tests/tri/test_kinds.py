@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import some
 from click.testing import CliRunner
+from containers import copied_segments
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mesh_cases import cases, make_case, reader, write_case
@@ -15,8 +16,6 @@ from twz import mesh_of
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.container.spool_sink import copied_segments
-from terrainwave.container.targets.publication import scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block
@@ -224,15 +223,10 @@ def with_section(path, target, key, section):
     with terrainwave.open(path, threads=1) as terrain, target.open("wb") as file:
         container = terrain.container
         codes = {block: container.codes(block)[3] for block in blocks_of(terrain)}
-        with scratch_directory(target.parent, "section") as directory:
-            spools = copied_segments(
-                terrain.grid, terrain.grid.segment_heads(), terrain.container, codes, directory
-            )
-            head = None if key.is_root_key else terrain.grid.segment_head(key)
-            spools[head].set_mesh(key, section)
-            assemble(file, container.header, spools)
-            for spool in spools.values():
-                spool.close()
+        spools = copied_segments(terrain, codes, target.parent)
+        head = None if key.is_root_key else terrain.grid.segment_head(key)
+        spools[head].set_mesh(key, section)
+        assemble(file, container.header, spools)
     return target
 
 
