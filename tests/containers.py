@@ -1,5 +1,7 @@
 """Files opened without a `TerrainFile`: their bytes, and no heights; their segments, copied."""
 
+from itertools import chain
+
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.opening import open_source
@@ -27,5 +29,5 @@ def copied_segments(terrain, mesh_codes, folder):
                 [*stored.codes(block)[:3], mesh_codes[block]] for block in grid.key_blocks(key)
             ]
             payload = stored.payloads([key])[0]
-            spool.add(key, payload, codes=bytes(sum(codes, [])), mesh=stored.mesh(key))
+            spool.add(key, payload, codes=bytes(chain(*codes)), mesh=stored.mesh(key))
     return spools

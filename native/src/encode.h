@@ -80,9 +80,9 @@ static inline int32_t correct_height(const encode_job *job, ptrdiff_t place, int
 /* Begin the log of a band, behind that of the band before. */
 void start_band(encoding *e, int band);
 /* Return how many bands a group should have, by about how many bits its details take. */
-int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols);
+int twz_bands_for(const encoding *e, const int32_t *rows, const int32_t *cols);
 /* Log the details of n pairs. */
-void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n);
+void twz_log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n);
 
 /* has_slots: for decoders, too. `weights`, `stencils`: as Tables has them, shapes (4, 3, 4) and (4, 3, 24); freqs, starts: (N_TABLES, N_SYMBOLS). */
 twz_status encode_tables_new(const twz_allocator *a, int32_t k_max, int32_t cut, int32_t has_slots, const int64_t *stencils, const int64_t *weights,

@@ -115,7 +115,7 @@ static ALWAYS_INLINE uint32_t single_symbol(int32_t value) {
 
 static ALWAYS_INLINE int raw_bits_of(uint8_t single) { return max_i32((int8_t)single - RAW_CLASS, 0) >> 1; }
 
-ALSO_AVX2 void log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n) {
+ALSO_AVX2 void twz_log_pairs(encoding *e, symbol_log *l, const uint8_t *pairs, const uint8_t *singles, const int32_t *details, int32_t n) {
   const uint32_t *freqs = e->tables->freqs;
   const int cut = e->tables->rapid->cut;
   uint32_t *to = l->entries + l->n_entries, k = 0;
@@ -239,7 +239,7 @@ static twz_status make_payload(twz_encoder *encoder, const encoding *e, const ra
   return TWZ_OK;
 }
 
-ALSO_AVX2 int bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
+ALSO_AVX2 int twz_bands_for(const encoding *e, const int32_t *rows, const int32_t *cols) {
   int64_t n = 0, octaves = 0;
   for (int p = HH; p <= LH; p++) {
     const int32_t *details = e->details[p];

@@ -181,7 +181,7 @@ static void ISA(log_strip)(const ISA(work) * w, encoding *e, int plane, int32_t 
   if (first >= last || n == 0) return;
   ISA(class_strip)(w, plane, first, last);
   const int32_t *details = e->details[plane] + (ptrdiff_t)first * 2 * n_pairs;
-  log_pairs(e, l, w->pairs, w->singles, details, n_pairs * (last - first));
+  twz_log_pairs(e, l, w->pairs, w->singles, details, n_pairs * (last - first));
   for (int32_t row = first; plane != LH && row < last; row++) {
     const int32_t *RESTRICT from = e->details[plane] + (ptrdiff_t)row * 2 * n_pairs;
     int16_t *RESTRICT near = ISA(row_in)(w, w->near[plane], row, HELD_ROWS);
@@ -205,7 +205,7 @@ static twz_status ISA(encode_lattice)(rapid_unit *u, encoding *e, twz_error *err
       }
     }
   }
-  if (e->n_bands == 0) e->n_bands = bands_for(e, w->rows, w->cols);
+  if (e->n_bands == 0) e->n_bands = twz_bands_for(e, w->rows, w->cols);
   int32_t *seen = e->seen;
   w->loaded = -2;
   w->looked = -1;

@@ -28,7 +28,8 @@
 #endif
 
 /* Compiled for AVX2, too: the system's loader chooses. Without FMA, so results are equal. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && !defined(TWZ_SANITIZED)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__gnu_linux__) && !defined(TWZ_SANITIZED) && \
+    !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__)
 #define ALSO_AVX2 __attribute__((target_clones("default", "avx2")))
 #else
 #define ALSO_AVX2

@@ -8,6 +8,7 @@ import fsspec
 import numpy as np
 import pytest
 from fsspec import AbstractFileSystem
+from fsspec.implementations.local import LocalFileSystem
 from fsspec.registry import _registry
 
 from terrainwave.container.depot import Depot
@@ -58,6 +59,16 @@ class Store(AbstractFileSystem):
         return []
 
 
+class Folders(LocalFileSystem):
+    """A server of files, whose folders must be there before a file is written."""
+
+    protocol = "sftp"
+
+    @classmethod
+    def _strip_protocol(cls, path):
+        return super()._strip_protocol(path.removeprefix("sftp://server"))
+
+
 @pytest.fixture
 def store(monkeypatch):
     monkeypatch.setattr("terrainwave.container.depot._DELAYS", (0.0, 0.0, 0.0))
@@ -76,6 +87,14 @@ def depot(store):
 
 
 HEIGHTS = np.arange(12).reshape(3, 4)
+
+
+def test_folders_of_a_server_are_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.depot._DELAYS", ())
+    monkeypatch.setitem(_registry, "sftp", Folders)
+    Depot(f"sftp://server{tmp_path}/scratch/run").save("a", heights=HEIGHTS)
+    with np.load(tmp_path / "scratch" / "run" / "a") as arrays:
+        assert (arrays["heights"] == HEIGHTS).all()
 
 
 @pytest.mark.parametrize("request_name", ["put", "get"])

@@ -52,6 +52,24 @@ def test_quanta_are_the_same(dtype, with_library):
                 assert by_numba == in_c
 
 
+VIEWS = {
+    "rows of an odd number of bytes": {"offset": 0, "strides": (2 * 9 + 1, 2)},
+    "not aligned": {"offset": 1, "strides": (2 * 9, 2)},
+    "backwards": {"offset": 2 * 9 * 7, "strides": (-2 * 9, 2)},
+    "by columns": {"offset": 0, "strides": (2, 2 * 8)},
+}
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_quanta_of_any_view_are_the_same(view, with_library):
+    raw = np.ndarray((8, 9), np.int16, np.zeros(200, np.uint8), **VIEWS[view])
+    raw[...] = np.arange(72).reshape(8, 9) - 30
+    valid = raw % 7 > 0
+    quanta = np.empty(raw.shape, dtype=np.int32)
+    by_numba, in_c = by_both("quantize_integers", raw, valid, 3, -7, out=[quanta])
+    assert by_numba == in_c
+
+
 def test_ties_go_to_even(with_library):
     raw = np.array([[0.5, 1.5, 2.5, -0.5, -1.5, 2.0**52 + 1, 2.0**51 + 0.5, -(2.0**51) - 1.5]])
     quanta = np.empty(raw.shape, dtype=np.int32)

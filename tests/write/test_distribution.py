@@ -45,6 +45,8 @@ RASTERS = {
     "void": (np.full((530, 40), NODATA, "int16"), {"nodata": NODATA}),
     # 257 blocks in a row: a task may have several segments.
     "strip": (terrain_like(8200, 5, seed=8), {}),
+    # Tasks begin three levels below the root.
+    "deep": (terrain_like(2100, 70, seed=9), {}),
 }
 
 
@@ -81,6 +83,14 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
 @pytest.mark.parametrize("name", ["voids", "strip"])
 def test_measured_meshes_are_those_of_a_local_run(tmp_path, cluster, name):
     here, there = both(tmp_path, cluster, name, measure_meshes=True)
+    assert there == here
+
+
+@pytest.mark.parametrize(
+    "meshes", [{"mesh": "rqt"}, {"mesh": "halves", "measure_meshes": True}], ids=["rqt", "halves"]
+)
+def test_meshes_of_blocks_far_above_the_tasks_are_those_of_a_local_run(tmp_path, cluster, meshes):
+    here, there = both(tmp_path, cluster, "deep", **meshes)
     assert there == here
 
 

@@ -60,7 +60,8 @@ def _quantise(
 
 def _rows_of(array: NDArray[Any]) -> tuple[NDArray[Any], int, int]:
     """Return an array whose rows are contiguous, its address, and the distance of its rows."""
-    if not array.dtype.isnative or array.strides[1] != array.itemsize:
+    are_whole = array.flags.aligned and array.strides[0] % array.itemsize == 0
+    if not (array.dtype.isnative and are_whole and array.strides[1] == array.itemsize):
         array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("="))
     return array, address(array), array.strides[0] // array.itemsize
 

@@ -8,11 +8,12 @@ the default size, are coded here. Bytes are those of `local_passes`.
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache, partial
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -308,13 +309,15 @@ class DistributedPasses(LocalPasses):
         rounds = self._agree(site, above) if header.mesh in STORED_KINDS else {}
         tasks = {head: (site, head, above[head], rounds.get(head)) for head in heads}
         found: dict[Block, int] = {}
+        lock = Lock()  # tasks measure the blocks above them together
 
         def take(head: Block) -> None:
             values, own = unpacked(self._depot.get(site.name(MESHED, head)))
             sections.update(own)
-            for *place, error in values["errors"]:
-                block = Block(*place)
-                found[block] = max(found.get(block, 0), error)
+            with lock:
+                for *place, error in values["errors"]:
+                    block = Block(*place)
+                    found[block] = max(found.get(block, 0), error)
 
         _load(self._run("measuring meshes", mesh_subtree, tasks, MESHED), take)
         sink.set_meshes(sections)
@@ -348,8 +351,18 @@ AT_A_TIME = 16  # requests to the depot
 def _load(finished: Iterable[tuple[Block, Any]], load: Callable[[Block], None]) -> None:
     """Load what finished tasks have left, of some at a time: a store takes time."""
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        for loaded in [pool.submit(load, head) for head, _ in finished]:
-            loaded.result()
+        loading: list[Future[None]] = []
+        try:
+            for head, _ in finished:
+                loading.append(pool.submit(load, head))
+                for loaded in [one for one in loading if one.done()]:
+                    loading.remove(loaded)
+                    loaded.result()
+            for loaded in loading:
+                loaded.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _above(heads: Iterable[Block], places: Places) -> Places:
@@ -368,9 +381,18 @@ def _keys_above(heads: Iterable[Block]) -> set[Block]:
 
 
 def _around(head: Block, grid: Grid) -> list[Block]:
-    """Return a block and its eight neighbours."""
-    level, row, col = head
-    near = (Block(level, row + down, col + right) for down in (-1, 0, 1) for right in (-1, 0, 1))
+    """Return a block and its eight neighbours, and those of all blocks above it.
+
+    Meshes of these, which a task measures, have borders with their own neighbours.
+    """
+    near = [
+        Block(
+            level, (head.row >> head.level - level) + down, (head.col >> head.level - level) + right
+        )
+        for level in range(head.level + 1)
+        for down in (-1, 0, 1)
+        for right in (-1, 0, 1)
+    ]
     return [block for block in near if grid.contains(block)]
 
 

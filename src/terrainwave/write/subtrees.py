@@ -1,9 +1,10 @@
 """Tasks of one machine: each works on the subtree below one block.
 
 A task reads a part of the raster and the results of other tasks in the depot, stores its own
-results there and returns a few numbers: the client (`cluster`) sees neither heights nor payloads. A
-task can be repeated and gives the same bytes. It runs in one thread. In memory are its payloads,
-and of each level of the subtree a spool of 20 MiB; the rest lies on the machine's disk.
+results there and returns a few numbers; the client (`cluster`) loads payloads, but sees no heights.
+A task can be repeated and gives the same bytes. It runs in one thread. In memory are its payloads,
+with meshes also its neighbours', and of each level of the subtree a spool of 20 MiB; the rest lies
+on the machine's disk.
 """
 
 import os
@@ -48,7 +49,7 @@ Places = Mapping[Block, tuple[str, int, int]]
 
 
 class Above(NamedTuple):
-    """Units above a task and its neighbours: payloads, codes of errors; meshes above the task."""
+    """Units above a task and near those: payloads, codes of errors; meshes above the task."""
 
     payloads: Places
     errors: Mapping[Block, int]
@@ -131,10 +132,9 @@ class CodedUnits:
         )
 
     def error_code(self, block: Block) -> int:
-        errors = self._above.errors
         if block.level > self._site.level:
-            errors = self._codes(self._head(block)).errors
-        return errors.get(block, 0)
+            return self._codes(self._head(block)).errors.get(block, 0)
+        return self._above.errors[block]
 
     def _payloads(self, keys: Sequence[Block]) -> list[bytes]:
         return [

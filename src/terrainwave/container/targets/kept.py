@@ -35,7 +35,7 @@ _JOURNAL, _ARRAY = "journal", ".array"
 _HEAD = struct.Struct("<4sIQI")
 _MAGIC = b"twzK"
 # The first record's name is the version of the layout; other versions are not read.
-_RUN, _BOOT, _SYNCED = "run 2", "boot", "synced"
+_RUN, _BOOT, _SYNCED = "run 3", "boot", "synced"
 # Seconds between two records of work in progress, and between two synchronisations.
 TICK, _SYNC = 0.2, 10.0
 _CHUNK = 1 << 20  # bytes to read and check at a time

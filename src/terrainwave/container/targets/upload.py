@@ -115,13 +115,14 @@ def filesystem_errors(action: str) -> Iterator[None]:
 def put_whole(filesystem: Any, put: Callable[[str], None], target: str) -> None:
     """Write a file of one of fsspec's file systems: all of it appears, or nothing.
 
-    `put` writes it under a name. Raises any error of the file system.
+    `put` writes it under a name, in a folder that is there. Raises any error of the file system.
     """
     protocols = filesystem.protocol
     if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
         put(target)
         return
     unfinished = f"{target}.{secrets.token_hex(8)}.twz-part"
+    filesystem.makedirs(target.rpartition("/")[0], exist_ok=True)
     try:
         put(unfinished)
         filesystem.mv(unfinished, target)

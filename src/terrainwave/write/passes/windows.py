@@ -79,7 +79,7 @@ class Windows(SourceWindows):
         """
         scan = new_scan(self._source.info, has_digest, steps)
         is_there, state = self._is_there(), self._kept.get(_SCAN)
-        if is_there and state is not None:
+        if is_there and state is not None and "scan" in state:
             scan.take_state(state["scan"])
 
         def side_by_side(parts: Iterable[Part]) -> Iterator[tuple[Region, Even | Window]]:
