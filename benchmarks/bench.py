@@ -16,7 +16,6 @@ import matplotlib as mpl
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
-import rasterio
 from PIL import Image
 
 from benchmarks import codecs, common, tables
@@ -104,15 +103,6 @@ def draw(curves: Curves, results: Path) -> None:
         picture.save(common.IMAGES / "rates.png", optimize=True)
 
 
-def floats(paths: Iterable[Path]) -> list[Path]:
-    """Return the rasters whose heights are floats."""
-    found = []
-    for path in paths:
-        with rasterio.open(path) as dataset:
-            found += [path] if dataset.dtypes[0].startswith("float") else []
-    return found
-
-
 @common.command()
 @common.rasters_argument
 @common.choices_option("--only", "parts", of=FAMILIES)
@@ -140,8 +130,8 @@ def main(paths, parts, again, fast, bounds, folder, out) -> None:
             own = [codec for codec in own if not (fast and codec.name.startswith(codecs.SLOW))]
             common.write_rows(file, codecs.measure_speeds(paths, out, own), append=True)
             continue
-        chosen, of = (paths, bounds) if part != "fine" else (floats(paths), codecs.FINE)
-        cases = codecs.measure_missing(chosen, own, of, codecs.read_cases(file))
+        of = codecs.FINE if part == "fine" else bounds
+        cases = codecs.measure_missing(paths, own, of, codecs.read_cases(file))
         rows += common.write_rows(file, cases, append=True)
     for document in tables.write_all(out):
         click.echo(f"wrote {document}")

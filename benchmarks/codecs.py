@@ -142,11 +142,9 @@ def read_cases(path: Path) -> set[tuple[str, float, str]]:
     return {(row["raster"], row["max_error"], row["codec"]) for row in common.read_rows(path)}
 
 
-def is_worth_trying(raster: Raster, bound: float, bounds: Sequence[float]) -> bool:
-    """Return False for 0 on no grid, and for 0.1 on integers where 0 is tried anyway."""
-    if bound == 0:
-        return raster.quantum > 0
-    return not (raster.is_integer and bound < 1 and 0 in bounds)
+def is_worth_trying(raster: Raster, bound: float) -> bool:
+    """Return False for 0 on no grid, and for 0.1 on integers, where it is 0 once more."""
+    return not (raster.is_integer and bound < 1) if bound else raster.quantum > 0
 
 
 def measure_missing(
@@ -160,8 +158,7 @@ def measure_missing(
             (codec, bound)
             for bound in bounds
             for codec in codecs
-            if is_worth_trying(raster, bound, bounds)
-            and (raster.name, bound, codec.name) not in done
+            if is_worth_trying(raster, bound) and (raster.name, bound, codec.name) not in done
         ]
         forms = make_forms(raster) if missing else None  # takes long where there are voids
         for codec, bound in missing:
@@ -182,7 +179,7 @@ def measure_speeds(
             continue
         forms = make_forms(raster)
         for bound in SPEED_BOUNDS:
-            if (raster.name, bound) in done or not is_worth_trying(raster, bound, SPEED_BOUNDS):
+            if (raster.name, bound) in done or not is_worth_trying(raster, bound):
                 continue
             # The best trial checks the bound.
             able = [codec for codec in codecs if not codec.refuses(raster, bound)]

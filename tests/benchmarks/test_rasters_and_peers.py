@@ -2,11 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.codecs import compare
 from benchmarks.peers import (
+    PEERS,
     dequantize_indices,
     float_bound,
     quantize_indices,
@@ -47,6 +49,25 @@ def test_indices_decode_within_the_bound(kind, max_error, seed):
     decoded = dequantize_indices(indices.values, indices.first, indices.step, raster.heights.dtype)
     assert indices.values.min() >= 0
     assert not compare(raster, decoded, max_error, check_voids=False).problem
+
+
+@pytest.mark.parametrize(("quantum", "nodata"), [(0.01, None), (0.01, -9999.0), (0.0, np.nan)])
+@pytest.mark.parametrize("name", [name for name in PEERS if "steps" in name])
+def test_cogs_of_steps_keep_bound_and_voids_and_say_their_scale(tmp_path, name, quantum, nodata):
+    raster = ground("float32", quantum, seed=3)
+    if nodata is not None:
+        mask = np.ones(raster.heights.shape, bool)
+        mask[2:5, 3:9] = False
+        heights = np.where(mask, raster.heights, np.float32(nodata))
+        raster = replace(raster, heights=heights, mask=mask, nodata=nodata)
+    codec = PEERS[name](tmp_path)
+    calls = codec.calls(raster, 0.05, 1.0)
+    stored = calls.encode()
+    decoded = calls.heights(calls.decode(stored))
+    assert not compare(raster, decoded, 0.05, check_voids=nodata is not None).problem
+    with rasterio.open(stored) as cog:
+        scaled = cog.read(1) * cog.scales[0] + cog.offsets[0]
+    np.testing.assert_allclose(scaled[raster.mask], decoded[raster.mask], atol=1e-4)
 
 
 def test_step_on_whole_metres_is_twice_the_bound_plus_one():
