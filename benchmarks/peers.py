@@ -240,7 +240,7 @@ class _JpegXl(Codec):
         """Refuse more than 65536 indices, and steps smaller than floats can carry."""
         if not raster.quantum and max_error <= raster.ulp:
             return "bound below the dtype's precision"
-        valid = replace(raster, heights=raster.valid)
+        valid = replace(raster, heights=raster.valid, mask=np.ones(raster.valid.shape, bool))
         n_indices = quantize_indices(valid, max_error).values.max() + 1
         return "more than 65536 indices" if n_indices > 65536 else ""
 

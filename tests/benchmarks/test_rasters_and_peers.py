@@ -70,6 +70,15 @@ def test_cogs_of_steps_keep_bound_and_voids_and_say_their_scale(tmp_path, name, 
     np.testing.assert_allclose(scaled[raster.mask], decoded[raster.mask], atol=1e-4)
 
 
+def test_jpeg_xl_counts_the_steps_of_valid_heights():
+    heights = np.array([[0, 5000, -9999]], np.float32)
+    raster = replace(
+        make_raster(heights), mask=heights >= 0, quantum=0.0, nodata=-9999.0
+    )  # 15,000 m with the void
+    refused = [PEERS["jxl-e9"](None).refuses(raster, bound) for bound in (0.1, 0.02)]
+    assert refused == ["", "more than 65536 indices"]
+
+
 def test_step_on_whole_metres_is_twice_the_bound_plus_one():
     assert quantize_indices(ground("int16", 1.0, 1), 3.0).step == 7.0
 
