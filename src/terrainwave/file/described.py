@@ -7,7 +7,6 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from affine import Affine
 from numpy.typing import NDArray
 
 from terrainwave.arguments import (
@@ -36,6 +35,8 @@ from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
 
 if TYPE_CHECKING:
+    from affine import Affine
+
     from terrainwave.container.parts import Parts
 
 DEFAULT_CACHE_BYTES = 256 << 20
@@ -207,15 +208,15 @@ class DescribedFile:
         return self.grid.level_shape(self.level_index(level))
 
     @property
-    def transform(self) -> Affine:
+    def transform(self) -> "Affine":
         """Return the affine transform of the full grid, as rasterio's datasets have it.
 
         x = a col + b row + c and y = d col + e row + f at pixel corners. `transform_of` returns
         that of levels and windows.
         """
-        return Affine(*self._raster.transform)
+        return _affine(*self._raster.transform)
 
-    def transform_of(self, level: int = -1, window: Any = None) -> Affine:
+    def transform_of(self, level: int = -1, window: Any = None) -> "Affine":
         """Return the affine transform of a level, or of a window of it.
 
         Levels are samples at positions: the centre of the first pixel is the same on every level,
@@ -237,7 +238,7 @@ class DescribedFile:
         if window is not None:
             row, col, _, _ = region_of_window(window, self.level_shape(level))
         a, b, c, d, e, f = self.level_place(level, row, col).transform
-        return Affine(a, b, c, d, e, f)
+        return _affine(a, b, c, d, e, f)
 
     def level_place(self, level: int = -1, row: int = 0, col: int = 0) -> LevelPlace:
         """Return shape and position of a level, from a sample on, and the raster's bounds."""
@@ -373,3 +374,10 @@ class DescribedFile:
         Arguments and errors are those of `region`. They are checked only here.
         """
         return self.level_place(level).window(window, bounds)
+
+
+def _affine(*transform: float) -> "Affine":
+    """Return a transform of the library `affine`, which is loaded when one is wanted."""
+    from affine import Affine
+
+    return Affine(*transform)
