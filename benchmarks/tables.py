@@ -515,9 +515,9 @@ PAGES = [
 ]
 _UNITS = (
     "times (?:as|the|more|less|slower|faster|longer)|Msamples/s|[GM]i?B/s|ns|ms|bits per sample|"
-    "bits/sample|% of|(?:CPU|processor) seconds|[kMG]i?B|requests|triangles|seconds|s"
+    "bits/sample|(?:CPU|processor) seconds|[kMG]i?B|requests|triangles|seconds|s|minutes|hours"
 )
-_FIGURE = re.compile(rf"(?<![\w.])\d[\d,.]* ?(?:{_UNITS})\b|\b0\.\d+ of\b")
+_FIGURE = re.compile(rf"(?<![\w.])\d[\d,.]* ?(?:%|(?:{_UNITS})\b)|\b0\.\d+ of\b")
 # Not prose: what CSVs fill in, code, tables.
 _NO_PROSE = re.compile(rf"{_SLOT.pattern}|```.*?```|`[^`]*`|^\|.*?$", re.DOTALL | re.MULTILINE)
 

@@ -116,10 +116,10 @@ def test_figures_of_sentences_come_from_csvs_or_are_stated(tmp_path, monkeypatch
 ```
 5 ms
 ```
-It takes 0.44 of the time.
+It takes 0.44 of the time, 5 % more.
 """
     (tmp_path / "page.md").write_text(text, encoding="utf-8")
-    assert tables.figures_by_hand("page.md") == ["0.44 of", "12 MB/s"]
+    assert tables.figures_by_hand("page.md") == ["0.44 of", "12 MB/s", "5 %"]
 
 
 def test_readme_names_every_script_and_every_result():
