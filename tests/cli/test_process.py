@@ -273,7 +273,7 @@ main(prog_name="terrainwave")
     ],
 )
 def test_lack_of_room_is_one_line_with_a_name(tmp_path, command, name):
-    side = 800 if command.startswith("compress") else 300  # over a mebibyte: in temporary files
+    side = 1200 if command.startswith("compress") else 300  # over a mebibyte: in temporary files
     heights = np.random.default_rng(0).integers(0, 300, (side, side)).astype("int16")
     place = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500_000, 0, -30, 5_000_000)}
     write_geotiff(tmp_path / "big.tif", heights, **place)
