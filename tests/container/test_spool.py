@@ -109,6 +109,11 @@ def no_space(*_, **__):
     raise OSError(errno.ENOSPC, "no space")
 
 
+def no_space_for(file, data):
+    view = memoryview(data)
+    raise OSError(errno.ENOSPC, f"no space for {len(view)} bytes")
+
+
 def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
     monkeypatch.setattr("terrainwave.container.spool.tempfile.TemporaryFile", no_space)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
@@ -119,11 +124,12 @@ def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
 def test_after_a_failed_write_the_payloads_are_still_there(tmp_path, monkeypatch):
     spool = filled(tmp_path, range(8))
     with monkeypatch.context() as failing:
-        failing.setattr("terrainwave.container.spool.write_all", no_space)
+        failing.setattr("terrainwave.container.spool.write_all", no_space_for)
         failing.setattr("terrainwave.container.spool._BUFFER", 0)
-        with pytest.raises(StorageError):
+        with pytest.raises(StorageError) as error:
             spool.add(key(8), payload(8))
     spool.add(key(9), bytes(2 << 20))
+    assert error.value.__cause__.__traceback__  # whose frames have a view of what was written
     assert list(spool.chunks([key(7), key(9)])) == [
         payload(7), payload(7)[:5], bytes(2 << 20), b""
     ]  # fmt: skip

@@ -147,7 +147,8 @@ class SectionFile:
                 self._file = tempfile.TemporaryFile(buffering=0, dir=self._directory)
             # After a failed write, the next one begins after the good bytes.
             self._file.seek(self._n_written)
-            write_all(self._file, self._buffer)
+            # A copy: the frames of an error keep a view, and its array cannot grow.
+            write_all(self._file, bytes(self._buffer))
         self._n_written += len(self._buffer)
         self._buffer = bytearray()
 
