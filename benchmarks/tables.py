@@ -357,10 +357,10 @@ def default_reads(results: Path) -> Rows:
 def archives(results: Path) -> Rows:
     """Return what the smaller methods save of the default's size, and what they cost in time.
 
-    Each time is over that of the COG of its turns, which may be of another day.
+    Each time is over that of the COG of its turns, which may be of another processor.
     """
     cases = compared_codecs(results)
-    fields = "codec", "processor", "raster", "max_error"
+    fields = "codec", "raster", "max_error"
     speeds = {tuple(row[field] for field in fields): row for row in speed_cases(results)}
     found = []
     for codec, name in ((PREDICTIVE, "`--method predictive`"), (BEST, "`--effort best`")):
@@ -371,7 +371,7 @@ def archives(results: Path) -> Rows:
             times = [
                 speeds[RAPID, *case][f"{what} / COG"] / line[f"{what} / COG"]
                 for (other, *case), line in speeds.items()
-                if other == codec
+                if other == codec and (RAPID, *case) in speeds
             ]
             row[what] = geometric_mean(times) if times else Missing()
             row[f"{what} most"] = max(times, default=Missing())
