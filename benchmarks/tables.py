@@ -108,6 +108,11 @@ def provenance(name: str, results: Path) -> list[str]:
                 how += "; **the code has changed since**"
             found[how].append(f"`{one}.csv`")
     lines = [f"Measured at {how} ({', '.join(names)})." for how, names in sorted(found.items())]
+    if "brief" in table:
+        on = sorted({how.partition(" on ")[2].partition(";")[0] for how in found})
+        lines = [f"Measured on {' and '.join(on)} ({table['brief']})."]
+        if old := sorted({name for how in found if ";" in how for name in found[how]}):
+            lines[0] += f" **Since then the code has changed** ({', '.join(old)}, in part)."
     return ["", *lines] if lines else []
 
 

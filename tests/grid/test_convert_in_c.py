@@ -147,7 +147,7 @@ def test_deviations_from_surfaces_are_the_same(with_library, monkeypatch):
     for number in range(120):
         shift = int(rng.integers(0, 6))
         cells = tuple(int(n) for n in rng.integers(1, 9, 2))
-        first = tuple(int(rng.integers(0, 1 << shift)) for _ in range(2))
+        first = tuple(int(rng.integers(0, n << shift)) for n in cells)
         shape = tuple(
             int(rng.integers(1, (n << shift) - at + 2)) for n, at in zip(cells, first, strict=True)
         )

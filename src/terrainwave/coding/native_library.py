@@ -173,14 +173,16 @@ def also_in_c(module: str) -> Callable[[_Function], _Function]:
     """
 
     def decorate(function: _Function) -> _Function:
-        name = function.__name__
+        name, known = function.__name__, list[Callable[..., Any]]()
 
         @wraps(function)
         def chosen(*arguments: Any, **options: Any) -> Any:
             if not is_used():
                 return function(*arguments, **options)
-            # Not by `sys.modules`: another thread may still be importing it.
-            return getattr(importlib.import_module(module), name)(*arguments, **options)
+            if not known:
+                # Not by `sys.modules`: another thread may still be importing it.
+                known.append(getattr(importlib.import_module(module), name))
+            return known[0](*arguments, **options)
 
         return cast(_Function, chosen)
 

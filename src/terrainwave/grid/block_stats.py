@@ -94,10 +94,9 @@ def measure_block(
     first_cells = row >> shift, col >> shift
     last_cells = -(-(row + n_rows - 1) // stride), -(-(col + n_cols - 1) // stride)
     needed = max(last_cells[0] + 1, heights.shape[0]), max(last_cells[1] + 1, heights.shape[1])
-    if heights.shape != needed:
-        heights = with_outside(heights, *needed)
+    heights = with_outside(heights, *needed)
     rows, cols = (slice(one, other + 1) for one, other in zip(first_cells, last_cells, strict=True))
-    under = np.ascontiguousarray(heights[rows, cols])
+    under = heights[rows, cols]
     low, high = limits or (int(originals.min()), int(originals.max()))
     lowest = min(int(under.min()), low)
     span = max(int(under.max()), high) - lowest
@@ -106,13 +105,13 @@ def measure_block(
     n_places = ((col + n_cols - 1 >> shift) - first_cells[1] + 1) * stride + 1
     # Not empty: a row of the surface above the first one is computed, but not used.
     lines = np.zeros(_N_LINES * n_places, dtype=dtype)
-    first = row - first_cells[0] * stride, col - first_cells[1] * stride
     scaled = largest_deviation(
-        under,
+        heights,
         shift,
         np.ascontiguousarray(originals),
         np.ascontiguousarray(mask),
-        *first,
+        row,
+        col,
         lowest,
         lines,
         n_places,
@@ -131,15 +130,16 @@ def largest_deviation(
 ):
     """Return the largest deviation times stride^2; the stride is 2^shift.
 
-    The first sample lies in the first cell of `heights`. `lines` is scratch for `_N_LINES` rows of
-    `n_places`, int32 or int64. Heights less `lowest` are in units of 1 / stride^2: below 2^62, as
+    The originals' first sample is (`first_row`, `first_col`). `lines` is scratch for `_N_LINES` rows
+    of `n_places`, from the first one's cell, int32 or int64. Heights less `lowest` are in units of 1 / stride^2: below 2^62, as
     heights are below 2^31 and strides up to 2^15. Halving the distance of places `shift` times is
     exact, and a loop that vectorises, as is going down from one row of the surface to the next.
     """
     cast = lines.dtype.type
     n_rows, n_cols = originals.shape
     one, two, twice = np.uint64(1), np.uint64(2), cast(2 * shift)
-    n, skipped = np.uint64(n_places), np.uint64(first_col)
+    first_cell = first_col >> shift
+    n, skipped = np.uint64(n_places), np.uint64(first_col - (first_cell << shift))
     upper, rise, surface = n * np.uint64(_UPPER), n * np.uint64(_RISE), n * np.uint64(_SURFACE)
     n_cells = (n_places - 1) >> shift
     largest = cast(0)
@@ -151,7 +151,7 @@ def largest_deviation(
             cell_row = np.uint64(min((place >> shift) + np.int64(row >= 0), heights.shape[0] - 1))
             now, then = np.uint64(0), n
             for k in range(np.uint64(n_cells + 1)):
-                cell = np.uint64(min(np.int64(k), heights.shape[1] - 1))
+                cell = np.uint64(min(first_cell + np.int64(k), heights.shape[1] - 1))
                 lines[now + k] = cast((np.int64(heights[cell_row, cell]) - lowest) << shift)
             n_between = np.uint64(n_cells)
             for _ in range(shift):

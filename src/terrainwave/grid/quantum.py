@@ -133,7 +133,7 @@ class Quantizer:
         limit = _rounded_down(as_fraction(bound), self.dtype)
         return error == 0 or as_fraction(error) + as_fraction(self.float_error) <= limit
 
-    @property
+    @cached_property
     def lost(self) -> int:
         """Return the largest loss by rounding to quanta, in quanta, rounded up."""
         return int(-(-Fraction(self.rho) * self.denominator // self.numerator))

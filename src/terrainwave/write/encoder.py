@@ -295,7 +295,8 @@ class TreeEncoder:
         """Return the samples of a decoded block, without its apron."""
         region = self.grid.block_region(block)
         framed = self.grid.block_region(block, self.parameters.apron)
-        return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
+        heights = decoded.heights[region.slices_in(framed)]
+        return Ancestor(block, region, np.ascontiguousarray(heights))
 
     def _measure(
         self, start: Start, spec: GroupSpec, originals: Heights, mask: Mask, decoded: Decoded

@@ -7,6 +7,7 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ class Job:
         """Return the bound that holds, from the raster, in raw units."""
         return self.quantizer.effective_error if self.measured is None else self.measured
 
-    @property
+    @cached_property
     def moved(self) -> int:
         """Return `earlier` in quanta, rounded up."""
         quanta = as_fraction(self.earlier.max_error) / scale_of(self.info) / self._quantum
