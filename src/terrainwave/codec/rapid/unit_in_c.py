@@ -123,7 +123,7 @@ def decode_into(
 ) -> bool:
     """Do as `UnitCoder.decode_into`, which decodes parts, and says what is wrong with others."""
     if rows == ALL_ROWS or parent is None:
-        job, arrays = _new_job(spec, parent, None, mask, corrections)
+        job, arrays = _new_job(spec, parent, None, mask, corrections, out)
         data = padded(payload)
         job.payload, job.n_payload = address(data), len(payload)
         tables = _TABLES.of(coder.tables(job.step), is_read=True)
@@ -133,7 +133,8 @@ def decode_into(
         except ValueError:
             pass
         else:
-            out[:] = arrays[0]
+            if arrays[0] is not out:
+                out[:] = arrays[0]
             return False
     by_numba: bool = UnitCoder.decode_into.__wrapped__(  # type: ignore[attr-defined]
         coder, spec, parent, mask, payload, out, corrections, rows, raw
@@ -215,10 +216,14 @@ def _lattices(
 
 def _new_job(
     spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask | None,
-    corrections: Corrections,
+    corrections: Corrections, out: Heights | None = None,
 ) -> tuple[_Job, list[NDArray[Any]]]:  # fmt: skip
-    """Return a unit as the library takes it, and the arrays it refers to; the first has heights."""
-    out = new_heights(spec.region.shape)
+    """Return a unit as the library takes it, and the arrays it refers to; the first has heights.
+
+    It is `out`, if that has no gaps.
+    """
+    if out is None or not out.flags.c_contiguous:
+        out = new_heights(spec.region.shape)
     arrays: list[NDArray[Any]] = [out]
     job = _Job(
         size=ctypes.sizeof(_Job), level=spec.level, step=spec.step, z_min=spec.z_min,
