@@ -102,9 +102,7 @@ def provenance(name: str, results: Path) -> list[str]:
             how = f"commit {', '.join(commits)} on {processor}"
             if path.parent.name == "archive":
                 how += "; **by a script that is gone**"
-            elif code_of(one) and {line.get("code") for line in machines[processor]} != {
-                code_of(one)
-            }:
+            elif code_of(one) and {m.get("code") for m in machines[processor]} != {code_of(one)}:
                 how += "; **the code has changed since**"
             found[how].append(f"`{one}.csv`")
     lines = [f"Measured at {how} ({', '.join(names)})." for how, names in sorted(found.items())]

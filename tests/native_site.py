@@ -20,6 +20,7 @@ PROJECT = ROOT / "native" / "python"
 
 def forget_library():
     """Have the package look for the library again."""
+    native_library.is_used.cache_clear()
     native_library.loaded.cache_clear()
     native.installed.cache_clear()
 

@@ -10,7 +10,7 @@ import subprocess
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from unittest.mock import Mock
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -392,8 +392,7 @@ def test_an_argument_and_the_environment_turn_it_off(with_library, monkeypatch, 
 
 def warned_once():
     """Read two files, which are made without the library; return the warning that came."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(native_library.SWITCH, "0")
+    with patch.object(native_library, "is_used", lambda: False):
         data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
     (first, notes), (second, none) = (outcome(terrainwave.open(data).read) for _ in range(2))
     assert first == second

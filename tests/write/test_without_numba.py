@@ -57,10 +57,9 @@ def doubled(x):
 """
 
 
-def test_a_thread_waits_for_a_module_that_another_one_is_importing(library, tmp_path, monkeypatch):
+def test_a_thread_waits_for_a_module_that_another_imports(with_library, tmp_path, monkeypatch):
     (tmp_path / "slow_module.py").write_text(SLOW, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv(native_library.SWITCH, "1")
 
     @native_library.also_in_c("slow_module")
     def doubled(x):

@@ -161,8 +161,9 @@ def is_wanted() -> bool:
     return word == "1"
 
 
+@cache
 def is_used() -> bool:
-    """Return whether the package has a library that fits and is wanted."""
+    """Return whether the package has a library that fits and is wanted; asked once."""
     return is_wanted() and loaded() is not None
 
 

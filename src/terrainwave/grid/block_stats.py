@@ -130,10 +130,11 @@ def largest_deviation(
 ):
     """Return the largest deviation times stride^2; the stride is 2^shift.
 
-    The originals' first sample is (`first_row`, `first_col`). `lines` is scratch for `_N_LINES` rows
-    of `n_places`, from the first one's cell, int32 or int64. Heights less `lowest` are in units of 1 / stride^2: below 2^62, as
-    heights are below 2^31 and strides up to 2^15. Halving the distance of places `shift` times is
-    exact, and a loop that vectorises, as is going down from one row of the surface to the next.
+    The first original is (`first_row`, `first_col`). `lines` is scratch for `_N_LINES` rows of
+    `n_places`, int32 or int64, from that one's cell on. Heights less `lowest` are in units of
+    1 / stride^2: below 2^62, as heights are below 2^31 and strides up to 2^15. Halving the distance
+    of places `shift` times is exact, and a loop that vectorises, as is going down from one row of
+    the surface to the next.
     """
     cast = lines.dtype.type
     n_rows, n_cols = originals.shape

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.native_library import is_used
+from terrainwave.coding import native_library
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.steps import FixedSteps
@@ -146,7 +146,7 @@ class Quantizer:
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         is_whole = np.dtype(self.dtype).kind in "iu" and self.rho == 0
-        in_c = is_used()
+        in_c = native_library.is_used()
         if is_whole and self.numerator == 1 and raw.dtype.itemsize < 8 and not in_c:
             # Needs no compiled kernel.
             wide = np.int32 if raw.dtype.itemsize < 4 and abs(base) < _LARGE else np.int64
