@@ -311,10 +311,7 @@ class HeightScan:
     def reaching(self, low: Fraction, high: Fraction) -> "HeightScan":
         """Return a scan of the same raster whose range also holds two heights, in raw units.
 
-        Raises
-        ------
-        InvalidHeightsError
-            If the type of the raster cannot hold them.
+        Raises `InvalidHeightsError` if the type of the raster cannot hold them.
         """
         wide = copy(self)
         if not self.n_valid:
@@ -398,11 +395,9 @@ class HeightScan:
         multiples of p that they represent. `side`: decoded numbers are never below their originals
         (1) or never above them (-1).
 
-        Raises
-        ------
-        InvalidHeightsError
-            If the bound needs remainders: 0 without a true grid, or too small for the range of the
-            heights in 30 bits. The message gives the smallest possible bound.
+        Raises `InvalidHeightsError` if the bound needs remainders: 0 without a true grid, or too
+        small for the range of the heights in 30 bits. The message gives the smallest possible
+        bound.
         """
         if self.n_valid == 0:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)

@@ -138,10 +138,7 @@ _OF_SINGLES = [*range(SINGLES, SINGLES + N_CLASSES), ESCAPED]
 def annex() -> Annex:
     """Return the trained tables.
 
-    Raises
-    ------
-    StorageError
-        If their file cannot be read.
+    Raises `StorageError` if their file cannot be read.
     """
     return unpacked(read_tables(ANNEX, LAYOUT))
 
@@ -238,10 +235,7 @@ def freqs_of(
     tables : ndarray of int64, shape (n,)
         The numbers of the tables; by default all.
 
-    Raises
-    ------
-    CorruptStreamError
-        If they leave nothing to a rest symbol.
+    Raises `CorruptStreamError` if they leave nothing to a rest symbol.
     """
     freqs = np.where(EXISTS[tables], NUMBER_OF_CODE[codes] + LEAST[tables], 0)
     every, rests = np.arange(len(freqs)), RESTS[tables]
@@ -260,10 +254,7 @@ def freqs_of(
 def tables_from(file: FileTables) -> Tables:
     """Return the tables that units are coded by.
 
-    Raises
-    ------
-    CorruptStreamError
-        If a stencil or a frequency is out of range.
+    Raises `CorruptStreamError` if a stencil or a frequency is out of range.
     """
     codes = annex().codes[file.family].copy()
     for table, own in file.codes.items():
@@ -277,10 +268,7 @@ def tables_from(file: FileTables) -> Tables:
 def stencils_from(file: FileTables) -> NDArray[np.int64]:
     """Return `Tables.stencils`.
 
-    Raises
-    ------
-    CorruptStreamError
-        If a weight, or the sum of absolute ones, is out of range.
+    Raises `CorruptStreamError` if a weight, or the sum of absolute ones, is out of range.
     """
     stencils = np.zeros((N_LEVEL_CLASSES, len(PLANES), MOST_TAPS), dtype=np.int64)
     for which, row in enumerate(file.stencils):
@@ -356,10 +344,8 @@ def pack_file_tables(file: FileTables) -> bytes:
 def parse_file_tables(section: bytes, step: int) -> FileTables:
     """Undo `pack_file_tables`, trusting nothing; the step decides where there are no bytes.
 
-    Raises
-    ------
-    CorruptStreamError
-        If a value is out of range or the section does not end where it should.
+    Raises `CorruptStreamError` if a value is out of range or the section does not end where it
+    should.
     """
     k_max, family = section[0] & MOST_K if section else 0, family_of(step)
     if section:
@@ -404,10 +390,7 @@ def parse_file_tables(section: bytes, step: int) -> FileTables:
 def tables_of(section: bytes, step: int) -> Tables:
     """Return the tables of a file's parameters section.
 
-    Raises
-    ------
-    CorruptStreamError
-        If they are none.
+    Raises `CorruptStreamError` if they are none.
     """
     return tables_from(parse_file_tables(section, step))
 

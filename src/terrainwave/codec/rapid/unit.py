@@ -227,10 +227,8 @@ class UnitCoder:
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``.
 
-        Raises
-        ------
-        CorruptStreamError
-            If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
+        Raises `CorruptStreamError` if the payload contradicts format-rapid.md;
+        `TruncatedStreamError` if it is too short.
         """
         out = new_heights(spec.region.shape)
         self.decode_into(spec, parent, mask, payload, out, corrections)
