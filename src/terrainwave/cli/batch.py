@@ -142,7 +142,6 @@ def with_files_of_folders(
 def _files_below(
     source: str, directory: str | None, endings: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the files below a folder, sorted, each with its relative folder."""
     target = None if directory is None else os.path.realpath(directory)
     for path, folders, names in os.walk(source):
         folders[:] = sorted(
@@ -158,7 +157,6 @@ def _files_below(
 
 @contextmanager
 def made(directories: Iterable[str]) -> Iterator[None]:
-    """Make directories; remove them at the end if they are empty."""
     missing = set[Path]()
     try:
         for directory in directories:
@@ -251,7 +249,6 @@ def run_to(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Make a file of each source in a directory; exit with the status of all."""
     if not sources:
         raise click.UsageError("Missing argument 'SOURCE'.")
     jobs = plan(sources, directory, ending, endings)
@@ -294,7 +291,6 @@ def _status(outcomes: Sequence[_Outcome]) -> int:
 
 
 def find_original(file: str, directory: Path) -> str:
-    """Return the raster in a directory with the name of a .twz file."""
     from terrainwave.errors import StorageError
 
     stem = Path(file).stem
@@ -310,7 +306,6 @@ _NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
 
 
 def refuse_unknown_raster(target: str) -> None:
-    """Raise if the target is a raster that `decompress` may not have made, such as the original."""
     from terrainwave.errors import StorageError
     from terrainwave.raster_io.dataset import open_dataset
 
@@ -325,7 +320,6 @@ def refuse_unknown_raster(target: str) -> None:
 
 
 def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:
-    """Raise for --skip-existing where nothing can be skipped."""
     if skip_existing and to is None:
         raise click.UsageError("found --skip-existing without --to, expected both")
     if skip_existing and overwrite:
@@ -333,6 +327,5 @@ def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite:
 
 
 def finish(status: int) -> None:
-    """Exit with a status unless it is 0."""
     if status:
         sys.exit(status)

@@ -52,7 +52,6 @@ def run_demo(
 def _row(
     original: Path, n_bytes: int, bound: float, progress: ProgressCallback | None
 ) -> list[str]:
-    """Compress and check the raster of `n_bytes`; return the row of a bound."""
     path = _file(original.parent, bound)
     file = terrainwave.compress(original, path, max_error=bound, progress=progress)
     report = terrainwave.verify(path, original)
@@ -83,7 +82,6 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
 
 
 def _draw(folder: Path, n_bytes: int) -> None:
-    """Draw the original, of `n_bytes`, the heights of the largest bound, and their errors."""
     from matplotlib.figure import Figure
 
     bound = BOUNDS[-1]

@@ -101,7 +101,6 @@ def _substitute(number: int) -> TextIO:
 
 
 def check_open(name: str) -> None:
-    """Raise `StorageError` if stdin or stdout is closed, where a file must be read or written."""
     if name in _closed:
         action = "read" if name == "stdin" else "write"
         raise StorageError(

@@ -82,7 +82,6 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Check the native library, the GDAL whose commands are on the PATH, and rasterio."""
     native, native_advice = _check_native()
     command = shutil.which(_COMMAND)
     version, problems, has_driver = _ask(command) if command else (None, [], False)
@@ -101,7 +100,6 @@ def diagnose() -> Diagnosis:
 
 
 def _check_native() -> tuple[str | None, str]:
-    """Return the path of the native library if it is used, else None and the reason."""
     if not is_wanted():
         return None, f"{SWITCH} is 0 in the environment"
     try:
@@ -111,7 +109,6 @@ def _check_native() -> tuple[str | None, str]:
 
 
 def _ask(command: str) -> tuple[str | None, list[str], bool]:
-    """Return GDAL's version, its error messages on drivers, and whether it has ours."""
     told = _output(command, "--version")
     words = told[0].replace(",", " ").split() if told and told[0].startswith("GDAL ") else []
     described = _output(command, "--format", _DRIVER)
@@ -134,7 +131,6 @@ def _output(*command: str) -> list[str]:
 
 
 def _ask_rasterio() -> tuple[str, bool]:
-    """Return the version of GDAL in this Python's rasterio, and whether it has the driver."""
     # Imported here, because the command's help needs no rasterio.
     import rasterio
 

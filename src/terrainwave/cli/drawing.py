@@ -17,7 +17,6 @@ _SEEN_DEPTH = -1.0
 
 
 def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that render and view share."""
     return add_options(
         command,
         click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
@@ -42,7 +41,6 @@ def announce_preparation(options: dict[str, Any]) -> None:
 
 
 def suggest_exaggeration(frame: Any) -> None:
-    """Print a note if the relief is too small to be visible."""
     factor = frame.suggested_exaggeration
     if factor is not None:
         print_note(
@@ -52,7 +50,6 @@ def suggest_exaggeration(frame: Any) -> None:
 
 
 def note_dry_land(scene: Any, style: Any) -> None:
-    """Print a note if ground below the sea is drawn as land by guess."""
     frame = scene.scene.frame
     lowest = min(frame.heights, key=frame.to_metres)
     if not style.is_absolute(frame.body) or style.sea_level != AUTO:

@@ -102,7 +102,6 @@ class Manifest:
 
 
 def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str | None:
-    """Return how an existing target differs from its entry; None if it does not."""
     if before is None:
         return UNKNOWN
     if before.get("asked") != now["asked"]:

@@ -34,7 +34,6 @@ class _Path(click.ParamType):
         return [CompletionItem(incomplete, type=self.completes)]
 
     def named(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name; raise if it is empty."""
         try:
             return checked_path(value)
         except InvalidArgumentError as error:
@@ -214,7 +213,6 @@ LEVEL_OPTION = click.option(
 
 
 def check_one_area(options: dict[str, Any]) -> None:
-    """Raise if both a window and bounds are given."""
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
 
@@ -229,7 +227,6 @@ def add_options(
 
 
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that write a file."""
     return add_options(
         command,
         THREADS_OPTION,
@@ -239,7 +236,6 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that continue an interrupted run."""
     return add_options(
         command,
         click.option(
@@ -257,7 +253,6 @@ def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that take many files."""
     return add_options(
         command,
         click.option(

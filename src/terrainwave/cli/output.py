@@ -58,14 +58,12 @@ def print_note(message: object) -> None:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print notes of the package in terms of the command line."""
     for note in notes:
         print_note(in_options(note))
 
 
 @contextmanager
 def reading(path: str) -> Iterator[None]:
-    """Add the file's name, and advice, to the message of any error about it."""
     from terrainwave.container.header import NotTwzError
     from terrainwave.container.sources.addresses import display_name
 
@@ -82,8 +80,6 @@ def reading(path: str) -> Iterator[None]:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print our own warnings on one line each, without file names and line numbers."""
-
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if isinstance(message, TerrainwaveWarning):
             print_note(message_of(message))
@@ -110,7 +106,6 @@ def own_sets() -> list[type["OptionSet"]]:
 
 
 def _option(argument: str) -> str:
-    """Return the option for a function's argument."""
     if any(argument in kind.names() for kind in own_sets()):
         return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
@@ -143,7 +138,6 @@ class Command(click.Command):
         return f"{ctx.command_path} --help"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; errors name this command."""
         with _of_command(ctx):
             return super().parse_args(ctx, args)
 
@@ -160,7 +154,6 @@ class Command(click.Command):
             raise
 
     def _left(self) -> str:
-        """Return the part of an interruption's message on the files that it leaves."""
         names = [name for name in interrupts.complete() if "://" in name or os.path.lexists(name)]
         if len(names) > 1:
             return f"; {len(names):,} files are complete, {names[0]} the first"
@@ -393,7 +386,6 @@ def _announce_once() -> None:
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:
-    """Print names and values in two columns."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -407,7 +399,6 @@ def print_table(rows: list[tuple[str, object]]) -> None:
 
 
 def print_grid(header: list[str], rows: list[list[str]]) -> None:
-    """Print a table of numbers, right-aligned, with a header."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -429,13 +420,11 @@ def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
 
 
 def print_json_line(fields: dict[str, Any]) -> None:
-    """Print one of several results as a line of JSON, flushed."""
     click.echo(json.dumps(_in_options(fields), allow_nan=False))
     sys.stdout.flush()
 
 
 def _in_options(fields: dict[str, Any]) -> Any:
-    """Return a result for JSON, its sentences in terms of the command line."""
     told = {
         name: [in_options(sentence) for sentence in value]
         for name, value in fields.items()
@@ -461,13 +450,11 @@ def unit_behind(units: str | None) -> str:
 
 
 def note_unit(units: str | None) -> None:
-    """Print a note that errors have no unit if the raster names none."""
     if not units:
         print_note("the raster names no vertical unit: errors are in the unit of its heights")
 
 
 def vertical_in_words(about: dict[str, Any]) -> str:
-    """Describe heights on the globe from the fields that files store."""
     if about["heights"] == AS_IS:
         return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
     grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""

@@ -69,7 +69,6 @@ def _words(own: Sequence[str]) -> dict[str, str]:
 def _refuse(
     name: str, typed: str, options: dict[str, Any], in_use: Sequence[type[OptionSet]]
 ) -> None:
-    """Raise for an option that the method and the meshes lack; name those that have it."""
     of_command = [each for each in own_sets() if each.argument in options]
     having = [each for each in of_command if name in each.names()]
     if having:
@@ -89,12 +88,10 @@ class CommandWithOwnOptions(Command):
     """Command whose help lists the options of the named method and meshes."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Store the arguments for the help, which runs before options are parsed."""
         ctx.meta[_ARGUMENTS] = list(args)
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options of the command, then those of -o."""
         super().format_options(ctx, formatter)
         for kind in _sets_of(self._given(ctx)):
             with formatter.section(f"Options of --{kind.argument} {kind.name}"):
@@ -123,7 +120,6 @@ class CommandWithOwnOptions(Command):
 
 
 def _sets_of(given: Mapping[str, Any]) -> list[type[OptionSet]]:
-    """Return the options of the named method and kind of meshes."""
     found: list[type[OptionSet] | None] = [mesh_options.options_of(given.get("mesh") or "")]
     if given.get("method") in ("auto", *METHODS):
         effort = given.get("effort")

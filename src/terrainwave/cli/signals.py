@@ -120,7 +120,6 @@ def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
 
 
 def _is_never_interrupted(frame: FrameType | None) -> bool:
-    """Return True if the main thread is in a package that an exception would break."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0] in _NEVER_IN:
             return True

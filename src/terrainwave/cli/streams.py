@@ -59,7 +59,6 @@ def written(target: str, ending: str) -> Iterator[str]:
 
 @contextmanager
 def printing_beside(target: str) -> Iterator[None]:
-    """Print messages on stderr if stdout receives the file."""
     if target != STREAM:
         yield
         return

@@ -82,7 +82,6 @@ def _without_library() -> Iterator[None]:
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
-    """Compile kernels into a folder, in a process that uses no others; return their number."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may have some already
@@ -121,7 +120,6 @@ def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
-    """Write a raster of each type, with and without voids; return them with bounds to try."""
     rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
@@ -132,7 +130,6 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
 
 
 def _write(path: Path, heights: NDArray[np.generic]) -> Path:
-    """Write a raster, with voids if its name asks for them."""
     has_void = path.stem.endswith("-void")
     is_float = heights.dtype.kind == "f"
     n_rows, n_cols = heights.shape
@@ -151,7 +148,6 @@ def _write(path: Path, heights: NDArray[np.generic]) -> Path:
 
 
 def _compress(folder: Path) -> None:
-    """Compress each type with each method, lossless and lossy, and prove the files."""
     for path, bound in _rasters(folder):
         is_common = path.stem.startswith(("int16", "float32"))
         for method in METHODS.values() if is_common else (DEFAULT_METHOD, SMALLEST_METHOD):
@@ -165,7 +161,6 @@ def _compress(folder: Path) -> None:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files of whole rasters, without stored meshes."""
     return sorted(
         path
         for path in folder.glob("*.twz")
@@ -195,7 +190,6 @@ def _verify(folder: Path) -> None:
 
 
 def _patch(folder: Path) -> None:
-    """Patch a part of a lossy file of each method that supports it, and read the result."""
     stem = "int16-void"
     heights = _hills("int16", 2)
     upside_down = heights.max() + heights.min() - heights[:60, :70]

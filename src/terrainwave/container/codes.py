@@ -23,7 +23,6 @@ def decode_error(code: int) -> int:
 
 
 def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[int, int]:
-    """Return the codes of a block's box inside its parent's, rounded outward."""
     span = outer_high - outer_low
     if span <= 0 or low > high:
         return 0, 0
@@ -33,6 +32,5 @@ def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[
 
 
 def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
-    """Return a box that contains the encoded one."""
     span = outer_high - outer_low
     return outer_low + below * span // 255, outer_high - above * span // 255

@@ -89,7 +89,6 @@ class Depot:
         return data[:end]
 
     def part(self, name: str, offset: int, length: int) -> bytes:
-        """Return some bytes of an entry, unchecked."""
         return self._read(name, offset, length) if length else b""
 
     def _path(self, name: str) -> str:
@@ -103,13 +102,11 @@ class Depot:
         return _repeated(f"reading {display_name(self._path(name))}", read)
 
     def save(self, name: str, **arrays: Any) -> None:
-        """Store arrays under a name."""
         file = io.BytesIO()
         np.savez(file, **arrays)
         self.put(name, file.getvalue())
 
     def load(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the arrays stored by `save`."""
         with np.load(io.BytesIO(self.get(name)), allow_pickle=False) as arrays:
             return dict(arrays)
 
@@ -134,7 +131,6 @@ class Depot:
 
 
 def _put_in_place(target: str, data: bytes, where: str) -> None:
-    """Write a file that gets its name when it is complete."""
     unfinished = Path(f"{target}.{secrets.token_hex(8)}")
     with storage_errors(f"cannot write {where}", advice=_ADVICE):
         try:
@@ -147,7 +143,6 @@ def _put_in_place(target: str, data: bytes, where: str) -> None:
 
 
 def _repeated(what: str, call: Callable[[], Result]) -> Result:
-    """Return the result of a call, retried if it fails."""
     for delay in _DELAYS:
         try:
             return call()
@@ -158,7 +153,6 @@ def _repeated(what: str, call: Callable[[], Result]) -> Result:
 
 
 def _delete(filesystem: Any, paths: list[str]) -> None:
-    """Delete the existing ones of some paths."""
     try:
         filesystem.rm(paths)
     except FileNotFoundError:  # unknown which: delete one after the other
@@ -168,7 +162,6 @@ def _delete(filesystem: Any, paths: list[str]) -> None:
 
 
 def _filesystem(root: str) -> tuple[Any, str]:
-    """Return fsspec's file system for a path or URL, and the path in it."""
     fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
     with filesystem_errors(f"cannot use {display_name(root)}"):
         filesystem, path = fsspec.url_to_fs(root)

@@ -78,7 +78,6 @@ class TileDigests:
         self._leaves: dict[Place, bytes] = {}
 
     def add(self, tiles: Nodes) -> None:
-        """Add tiles, each exactly once."""
         for (row, col), digest in tiles.items():
             leaf = row // FAN, col // FAN
             of_leaf = self._tiles.setdefault(leaf, {})
@@ -116,7 +115,6 @@ class DigestTree:
 
     @property
     def top(self) -> bytes:
-        """Return the digest of the node above all leaves."""
         return self._levels[-1].get((0, 0), VOID)
 
     def root(self, header: Header) -> str:
@@ -131,7 +129,6 @@ class DigestTree:
             yield Region(row * side, col * side, side, side).intersect(whole)
 
     def pack(self) -> bytes:
-        """Return the section of the tree, which ends a file."""
         digests = [self.top]
         for height in range(len(self._levels) - 1, 0, -1):
             counts, below = _counts(self.shape, height), self._levels[height - 1]
@@ -142,7 +139,6 @@ class DigestTree:
 
 
 def section_length(tail: bytes) -> int:
-    """Return the length of the section that ends with the bytes `tail`."""
     return len(VOID) * int(_TAIL.unpack(tail)[1]) + TAIL_LENGTH
 
 
@@ -189,7 +185,6 @@ def _counts(shape: tuple[int, int], height: int) -> tuple[int, int]:
 
 
 def _children(place: Place, counts: tuple[int, int]) -> Iterator[Place]:
-    """Yield the children of a node inside the raster, in raster order."""
     for row in range(FAN * place[0], min(FAN * (place[0] + 1), counts[0])):
         for col in range(FAN * place[1], min(FAN * (place[1] + 1), counts[1])):
             yield row, col

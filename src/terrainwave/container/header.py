@@ -148,7 +148,6 @@ class Header:
 
     @property
     def grid(self) -> Grid:
-        """Return the quadtree over the raster."""
         return Grid(self.n_rows, self.n_cols, self.block)
 
     has_voids = _Feature(HAS_VOIDS)
@@ -159,7 +158,6 @@ class Header:
 
     @property
     def moved(self) -> int:
-        """Return how far an earlier file may have moved heights, in quanta; part of the bound."""
         found = self.metadata.get("moved")
         return int(cast(float, found)) if found is not None else 0
 
@@ -207,7 +205,6 @@ class Header:
 
     @cached_property
     def quantizer(self) -> Quantizer:
-        """Return the quantizer of the file's heights."""
         return Quantizer(
             dtype=self.dtype,
             numerator=self.quantum.numerator,
@@ -222,7 +219,6 @@ class Header:
 
     @cached_property
     def codec_parameters(self) -> CodecParameters:
-        """Return the parameters that all coded units of the file share."""
         nodata = self.metadata.get("nodata")
         # A string is NaN or an infinity, which no quantum equals.
         number = nodata if isinstance(nodata, int | float) else None
@@ -301,7 +297,6 @@ class NotTwzError(CorruptStreamError):
 
 
 def _kind_of(data: bytes) -> str:
-    """Return the kind of a file whose first bytes are not those of a .twz file."""
     start = data[:32].lstrip().lower()
     kinds = (kind for magic, kind in _KINDS.items() if start.startswith(magic.lower()))
     return next(kinds, "another kind of file")

@@ -47,7 +47,6 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
 
 
 def unpack_metadata(packed: bytes) -> dict[str, object]:
-    """Return the metadata in `packed`; unknown keys are kept unchanged."""
     data = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
     try:
         text = data.decode("utf-8")
@@ -81,7 +80,6 @@ def without_origin(metadata: dict[str, object]) -> dict[str, object]:
 
 
 def _nesting(text: str) -> int:
-    """Return the depth of nested brackets outside of strings."""
     depth = deepest = 0
     for match in _TOKEN.finditer(text):
         if match[0] in "[{":

@@ -39,7 +39,6 @@ class PageLayout(_Lists):
 
     @cached_property
     def keys_in_file(self) -> list[Block]:
-        """Return the keys in file order."""
         return [self.keys[row] for row in self.order]
 
     @cached_property
@@ -108,17 +107,14 @@ class Page:
 
     @property
     def sections_length(self) -> int:
-        """Return the number of bytes of all payloads and meshes."""
         return int(self.payload_lengths.sum(dtype=np.int64) + self.mesh_lengths.sum(dtype=np.int64))
 
     @property
     def body_length(self) -> int:
-        """Return the number of bytes of the body: the pages of children, payloads and meshes."""
         return int(self.child_page_lengths.sum(dtype=np.int64)) + self.sections_length
 
     @property
     def child_body_lengths(self) -> list[int]:
-        """Return the number of bytes of the body of each child."""
         # Not numpy's difference: untrusted uint64 could wrap.
         pages = self.child_page_lengths.tolist()
         return [
@@ -127,7 +123,6 @@ class Page:
 
     @property
     def children_end(self) -> int:
-        """Return the file offset after the last child's body."""
         return self.first_child + sum(self.child_body_lengths)
 
     @property
@@ -169,7 +164,6 @@ def pack_columns(page: Page) -> bytes:
 
 
 def page_length(columns: bytes) -> int:
-    """Return the length of the page with these packed columns."""
     return _PREFIX.size + len(columns)
 
 
@@ -246,14 +240,12 @@ def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
 
 
 def describe_head(head: Block | None) -> str:
-    """Return the name of a segment for messages."""
     if head is None:
         return "the top segment"
     return f"the segment of block (level {head.level}, row {head.row}, col {head.col})"
 
 
 def describe_key(key: Block) -> str:
-    """Return the name of a payload's owner for messages."""
     if key.is_root_key:
         return f"root block (level 0, row {key.row}, col {key.col})"
     return f"group (level {key.level}, row {key.row}, col {key.col})"

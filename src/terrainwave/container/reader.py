@@ -315,7 +315,6 @@ class Container:
         return self.source.read_many(ranges)
 
     def mesh(self, key: Block) -> bytes:
-        """Return the mesh section of `key`; empty if it has none."""
         ((segment, row),) = self._rows([key])
         data = self.source.read(*segment.mesh_range(row))
         with self._blaming_change():
@@ -327,7 +326,6 @@ class Container:
         return int(segment.page.flags[row])
 
     def codes(self, block: Block) -> tuple[int, int, int, int]:
-        """Return the codes of `block`: z_min, z_max, error, mesh error."""
         if not self.grid.contains(block):
             raise KeyError(f"the grid has no {block}")
         head = None if block.level == 0 else self.grid.segment_head(block.parent)
@@ -470,6 +468,5 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
-    """Raise `CorruptStreamError` if the bytes of a key do not match its checksum."""
     if zlib.crc32(data) != crc:
         raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")

@@ -39,23 +39,19 @@ class Segment:
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
 
     def codes(self, block: Block) -> tuple[int, int, int, int]:
-        """Return the codes of `block`: z_min, z_max, error, mesh error."""
         z_min, z_max, error, mesh_error = self.page.codes[self.layout.block_rows[block]].tolist()
         return z_min, z_max, error, mesh_error
 
     def page_range(self, child: Block) -> ByteRange:
-        """Return the range of the page of `child`; of length 0 if the segment is absent."""
         row = self.layout.child_rows[child]
         return ByteRange(self.page_starts[row], int(self.page.child_page_lengths[row]))
 
     def child_range(self, child: Block) -> ByteRange:
-        """Return the range of the body of `child`; of length 0 if it has none or is absent."""
         row = self.layout.child_rows[child]
         return ByteRange(self.child_starts[row], self.page.child_body_lengths[row])
 
 
 def segment_of_page(head: Block | None, layout: PageLayout, page: Page, body_start: int) -> Segment:
-    """Return the segment of a page whose body begins at `body_start`."""
     pages = page.child_page_lengths.tolist()
     sections_start = body_start + sum(pages)
     return Segment(

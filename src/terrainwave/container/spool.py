@@ -114,7 +114,6 @@ class SectionFile:
         self._lock = threading.Lock()
 
     def append(self, data: bytes) -> int:
-        """Store bytes; return their offset."""
         with self._lock:
             offset = self._n_written + len(self._buffer)
             self._buffer += data
@@ -132,7 +131,6 @@ class SectionFile:
                 return self._file.read(length)
 
     def close(self) -> None:
-        """Delete everything."""
         with self._lock:
             if self._file is not None:
                 self._file.close()
@@ -176,7 +174,6 @@ class StoredSegment(NamedTuple):
         return self.file.read(self.offset, self.page_length)
 
     def sections(self) -> Iterator[bytes]:
-        """Yield payloads and meshes."""
         places = self.file.read(self.offset + self.page_length, _PLACE.size * self.n_sections)
         for place in _PLACE.iter_unpack(places):
             yield self.file.read(*place)
@@ -217,7 +214,6 @@ class SegmentSpool:
             self.set_codes(key, codes)
 
     def set_mesh(self, key: Block, mesh: bytes) -> None:
-        """Set or replace the mesh of an added key."""
         if len(mesh) > MAX_PAYLOAD:
             raise ValueError(f"mesh of {len(mesh)} bytes: too long")
         self._entries[key] = self._entries[key]._replace(
@@ -225,22 +221,18 @@ class SegmentSpool:
         )
 
     def set_codes(self, key: Block, codes: bytes) -> None:
-        """Set or replace the codes of the blocks of the payload of `key`."""
         limit = N_CODES if key.is_root_key else 4 * N_CODES
         if len(codes) % N_CODES or len(codes) > limit:
             raise ValueError(f"{len(codes)} bytes of codes for {key}")
         self._codes[key] = bytes(codes)
 
     def keys(self) -> list[Block]:
-        """Return the keys of all entries so far."""
         return list(self._entries)
 
     def entry(self, key: Block) -> Entry:
-        """Return the row of `key`; `KeyError` if it was not added."""
         return self._entries[key]
 
     def codes(self, key: Block) -> bytes:
-        """Return the codes of `key`; `KeyError` if they were not set."""
         return self._codes[key]
 
     def chunks(self, keys: list[Block]) -> Iterator[bytes]:
@@ -260,7 +252,6 @@ class SegmentSpool:
                 yield data
 
     def stored(self, page: bytes, keys: list[Block]) -> StoredSegment:
-        """Return the segment in a form that takes little memory."""
         entries = [self._entries[key] for key in keys if page]
         places = [place for one in entries for place in (one[:2], one[3:5]) if place[1]]
         data = page + b"".join(_PLACE.pack(*place) for place in places)

@@ -33,7 +33,6 @@ class SpoolSink:
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
-        """Store the payload of a unit."""
         head = None if key.is_root_key else self._grid.segment_head(key)
         with self._lock:
             spool = self.spools.get(head)
@@ -56,7 +55,6 @@ class SpoolSink:
                 self.spools.update(dict.fromkeys(layer))
 
     def repeat(self, head: Block, like: Block) -> None:
-        """Record that the segment of `head` has the bytes of that of `like`."""
         with self._lock:
             self.spools[head] = LikeSegment(like)
 
@@ -67,15 +65,12 @@ class SpoolSink:
             self.spools[head] = stored_segment(self._grid, head, spool)
 
     def close(self) -> None:
-        """Delete all payloads."""
         self._file.close()
 
     def present(self) -> Iterator[SegmentSpool]:
-        """Yield the spools that have payloads of their own."""
         return (spool for spool in self.spools.values() if isinstance(spool, SegmentSpool))
 
     def set_meshes(self, sections: Mapping[Block, bytes]) -> None:
-        """Store the mesh sections of keys whose payloads are stored."""
         for key, section in sections.items():
             head = None if key.is_root_key else self._grid.segment_head(key)
             spool = self.spools.get(head)

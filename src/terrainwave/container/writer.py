@@ -186,7 +186,6 @@ def _is_void(head: Block, segments: Segments) -> bool:
 
 
 def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_child: int) -> bytes:
-    """Return the page of a segment whose children's bodies begin at offset `first_child`."""
     segment = segments[head]
     if isinstance(segment, StoredSegment):
         return segment.page()
@@ -194,7 +193,6 @@ def _page_bytes(head: Block | None, segments: Segments, part: _Extent, first_chi
 
 
 def _sections(grid: Grid, head: Block | None, segments: Segments) -> Iterator[bytes]:
-    """Yield the payloads and meshes of a segment in file order."""
     there, segment = _resolved(head, segments)
     if isinstance(segment, StoredSegment):
         yield from segment.sections()
@@ -216,7 +214,6 @@ def _resolved(
 
 
 def _children(grid: Grid, head: Block | None) -> Sequence[Block]:
-    """Return the heads of the segments below one; fast for none."""
     is_last = head is not None and head.level + SEGMENT_LEVELS >= grid.k_max
     return [] if is_last else page_layout(grid, head).children
 

@@ -81,5 +81,4 @@ def check_workers(client: Any) -> None:
 
 
 def worker_version() -> str:
-    """Return the version of this process's terrainwave."""
     return __version__

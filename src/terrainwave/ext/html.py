@@ -126,7 +126,6 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
 def _ramp(
     heights: NDArray[np.float64], low: float, high: float, sea: float | None
 ) -> NDArray[np.uint8]:
-    """Return the colours of heights from `low` to `high`; others are clamped."""
     share = np.clip((heights - low) / ((high - low) or 1.0), 0, 1)
     index = (share * (N_COLORS - 1)).astype(np.int64)
     colours: NDArray[np.uint8] = ramp_colors("tints", low, high, sea)[index]
@@ -136,7 +135,6 @@ def _ramp(
 def _depths(
     terrain: TerrainFile, frame: Frame, heights: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which samples are the sea's floor, by heights upwards in the file's unit."""
     if frame.body != EARTH or not may_have_water(terrain, frame):
         return np.zeros(heights.shape, dtype=np.bool_)
     metres, waves = heights * frame.error_metres, waves_of(terrain, frame)
@@ -144,7 +142,6 @@ def _depths(
 
 
 def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return Lambert's cosine of each sample, 1 facing the light."""
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
     south, east = np.gradient(heights)

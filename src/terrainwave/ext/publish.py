@@ -189,7 +189,6 @@ def _publish(
 
 
 def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, FittedPlaces]:
-    """Return an open file on its globe, and the polynomials of its samples."""
     try:
         globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
         return globe, fit_places(globe)
@@ -241,7 +240,6 @@ def _early(new: Path, *, is_site: bool) -> str:
 
 
 def _modules(module: Path) -> list[Path]:
-    """Return a module and all its imports."""
     found = [module]
     for name in _IMPORT.findall(module.read_text(encoding="utf-8")):
         found += _modules((module.parent / name).resolve())

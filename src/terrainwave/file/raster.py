@@ -75,11 +75,9 @@ class TerrainBackend(RasterBackend):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return decoded heights and validity."""
         return self._terrain.read_with_mask((row, col, n_rows, n_cols))
 
     def even(self, region: Region) -> Even | None:
-        """Return a void for a region without payloads; else None."""
         if next(self._terrain.coded_parts(region), None) is not None:
             return None
         return Even(stored_nodata(self._info.void_value, self.dtype), False)

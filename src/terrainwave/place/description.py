@@ -45,7 +45,6 @@ class Axis(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return the name and unit for a picture's axis."""
         name = self.name.split("(")[0].strip().lower().removeprefix("geodetic ")
         return f"{name or 'coordinate'}, {_UNIT_LABELS.get(self.unit.lower(), self.unit)}"
 
@@ -83,7 +82,6 @@ class Description(NamedTuple):
 
     @property
     def in_degrees(self) -> bool:
-        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
@@ -133,7 +131,6 @@ def _described(crs_text: str) -> Description | None:
 
 
 def read_projjson(told: dict[str, Any]) -> Description:
-    """Return the description in a PROJJSON document; by default metres to the right and up."""
     flat, vertical = _parts(told)
     axes = flat.get("coordinate_system", {}).get("axis", [])
     x, y = (
@@ -180,7 +177,6 @@ def _core(told: Any) -> Any:
 
 
 def _parts(told: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Return the CRS that has x and y, and the vertical one of a compound CRS."""
     while told.get("type") == "BoundCRS":
         told = told.get("source_crs", {})
     if told.get("type") != "CompoundCRS":

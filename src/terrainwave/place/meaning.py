@@ -64,7 +64,6 @@ class Names(NamedTuple):
 
 
 def check_kind(heights_are: str | None) -> None:
-    """Raise `InvalidArgumentError` unless it is None or one of `KINDS`."""
     if heights_are is not None and heights_are not in KINDS:
         raise InvalidArgumentError(
             f"found `heights_are` {shown(heights_are)}, expected {', '.join(KINDS)}"
@@ -100,7 +99,6 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
 
 
 def _depth_name(said: Mapping[str, str], names: Names, title: str) -> str | None:
-    """Return the name that means depths; a standard name takes precedence."""
     # With a modifier, such as standard_error, it is a quantity of another kind.
     standard_name = said.get("standard_name", "")
     if standard_name:

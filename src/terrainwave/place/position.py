@@ -42,17 +42,14 @@ class LocalAxes(NamedTuple):
 
     @property
     def lengths(self) -> tuple[float, float]:
-        """Return the metres per unit of x and of y."""
         return math.hypot(*self.x), math.hypot(*self.y)
 
     @property
     def is_mirrored(self) -> bool:
-        """Return whether counter-clockwise in x and y is clockwise on the ground."""
         return self.x[0] * self.y[1] < self.x[1] * self.y[0]
 
     @property
     def names(self) -> tuple[str, str]:
-        """Return the directions of x and y, in words."""
         return _direction(*self.x), _direction(*self.y)
 
 
@@ -95,7 +92,6 @@ class Place:
 
     @property
     def in_degrees(self) -> bool:
-        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
@@ -105,7 +101,6 @@ class Place:
 
     @property
     def has_globe(self) -> bool:
-        """Return whether a conversion to longitude and latitude may exist."""
         return self.in_degrees or self.system is not None
 
     @property
@@ -142,7 +137,6 @@ class Place:
         return self._system().to_globe(xy)
 
     def from_lonlat(self, lonlat: Numbers) -> Numbers:
-        """Return x and y of longitudes and latitudes in degrees; the inverse of `to_lonlat`."""
         if self.is_lonlat:
             return lonlat / self.unit
         if self._is_turned_lonlat:
@@ -202,7 +196,6 @@ class Place:
         )
 
     def surface_radius(self, x: float, y: float) -> float:
-        """Return the distance of the ellipsoid's surface at a point from its centre, in metres."""
         if self.ellipsoid.e2 == 0 or not self.has_globe:
             return self.ellipsoid.axis
         latitude = self.to_lonlat(np.array([[x, y]]))[:, 1]
@@ -303,7 +296,6 @@ def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, s
 
 
 def axis_attributes(crs_text: str | None) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes of x and y that the CF conventions require."""
     x_attrs, y_attrs = {"axis": "X"}, {"axis": "Y"}
     told = describe_quietly(crs_text)
     if told is not None and told.in_degrees:

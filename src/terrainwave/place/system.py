@@ -45,7 +45,6 @@ class System:
 
     @cached_property
     def flat(self) -> Any:
-        """Return pyproj's CRS of only x and y."""
         known = self.known
         if known.is_compound:
             known = known.sub_crs_list[0]
@@ -97,7 +96,6 @@ class System:
             ) from error
 
     def to_globe(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return longitudes and latitudes in degrees; NaN if a point has none."""
         return moved(self._to_globe, xy)
 
     def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -105,7 +103,6 @@ class System:
 
 
 def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points transformed by pyproj, shape (n_points, 2 or 3); NaN on failure."""
     if not len(points):
         return points
     # Libraries rely on numpy's default settings, which callers may have changed.
@@ -154,7 +151,6 @@ def _known_to_pyproj(crs_text: str) -> Any:
 
 
 def _ellipsoid_of(known: Any) -> Ellipsoid:
-    """Return the ellipsoid of pyproj's CRS; WGS 84 if it has none."""
     ellipsoid = None if known is None else known.ellipsoid
     if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
         return EARTH

@@ -82,14 +82,12 @@ class HeightUnit(NamedTuple):
 
     @property
     def is_depth(self) -> bool:
-        """Return whether the numbers are depths: metadata and CRS together turn them once."""
         if self.kind is not None:
             return self.kind == DEPTH
         return self.vertical is not None and self.vertical.is_down
 
     @property
     def word(self) -> str:
-        """Return the word for a number: ``height``, ``depth`` or ``radius``."""
         return DEPTH if self.is_depth else self.kind or HEIGHT
 
     @property
@@ -136,7 +134,6 @@ def height_unit(
 
 
 def kind_name(heights_are: str | None, crs_text: str | None) -> str:
-    """Return the word for the numbers: ``heights``, ``depths`` or ``radii``."""
     return PLURALS[height_unit(None, crs_text, heights_are).word]
 
 
@@ -240,7 +237,6 @@ def metres_per_unit(units: str | None) -> float:
 
 
 def _length(name: str) -> float | None:
-    """Return the metres of a unit of length; None for all others."""
     name = _plain(name)
     for words in (name, _REFERENCE.sub("", name)):
         singular = words.removesuffix("s") if len(words) > _SHORT else words
@@ -266,5 +262,4 @@ def _plain(units: str) -> str:
 
 
 def unit_text(units: str | None) -> str:
-    """Return a vertical unit as written in labels."""
     return units.strip() if units and units.strip() else "unit unknown"

@@ -85,7 +85,6 @@ class EllipsoidalHeights:
 
     @classmethod
     def of_radii(cls, place: Place) -> Self:
-        """Return the conversion of heights computed from radii, which changes nothing."""
         return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
@@ -130,7 +129,6 @@ class EllipsoidalHeights:
 
     @property
     def words(self) -> str:
-        """Return the conversion as the end of a sentence."""
         if not self.description:
             return "heights are above the ellipsoid already"
         if self.description == RADII:

@@ -113,7 +113,6 @@ class LabelledBackend(ArrayBackend):
         self.came_from = _came_from(variable)
 
     def _declare(self, values: list[int | float]) -> None:
-        """Use the first finite value as nodata; the others mark voids as well."""
         fitting = []
         for value in values:
             _, problem = fit_nodata(value, self.dtype)

@@ -46,7 +46,6 @@ class RasterBackend:
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
-        """Yield the notes without the raster's name."""
         return iter(())
 
     def asides(self) -> Iterator[str]:
@@ -57,7 +56,6 @@ class RasterBackend:
         return (f"{self.name}: {aside}" for aside in self.asides())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         raise NotImplementedError
 
     def read(
@@ -82,7 +80,6 @@ class RasterBackend:
         return iter(())
 
     def again(self) -> "RasterBackend | None":
-        """Return the raster opened again for another thread; None if the file may have changed."""
         return None
 
     def close(self) -> None:

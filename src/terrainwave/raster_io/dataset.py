@@ -133,7 +133,6 @@ def is_twz(path: str | os.PathLike[str]) -> bool:
 
 
 def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str:
-    """Return "band 2 (slope), band 3"; of many bands the first and the last."""
     if len(numbers) > 2 * _N_NAMES:
         return f"{len(numbers)} bands, from {numbers[0]} to {numbers[-1]}"
     names = [descriptions[number - 1] for number in numbers]
@@ -144,7 +143,6 @@ def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str
 
 
 def _number(text: str) -> float | None:
-    """Return a tag as a number; None if it is not one, or is NaN, which is always void."""
     try:
         value = float(text)
     except ValueError:
@@ -168,7 +166,6 @@ def is_placed(dataset: Any) -> bool:
 
 
 def _other_places(dataset: Any) -> list[str]:
-    """Return a dataset's positioning other than a transform: GCPs, RPCs, geolocation."""
     found = {
         "GCPs": dataset.gcps[0],
         "RPCs": getattr(dataset, "rpcs", None),
@@ -189,7 +186,6 @@ def _stamp(dataset: Any) -> tuple[int, ...] | None:
 
 
 def told_of(dataset: Any, band: int) -> Told:
-    """Return the meaning of a band's numbers by its tags and names."""
     marks = dataset.tags(band)
     if dataset.count == 1:
         marks = {**dataset.tags(), **marks}
@@ -297,7 +293,6 @@ class DatasetBackend(RasterBackend):
             yield f"dropped, as a .twz file does not hold them: {what}"
 
     def _other_bands(self) -> str:
-        """Return the names of the bands that are neither used nor a mask."""
         dataset, used = self._dataset, (self._band, *self._alphas)
         others = [number for number in range(1, dataset.count + 1) if number not in used]
         return _band_names(others, dataset.descriptions)

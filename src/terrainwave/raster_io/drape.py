@@ -154,7 +154,6 @@ class Photo:
             self.finer = math.sqrt(math.prod(self._finer))
 
     def _placed(self, file: Any) -> Any:
-        """Return the transform of the photo, or of an overview of it."""
         if self._plain_on is None:
             return file.transform
         (a, b, c, d, e, f), (n_rows, n_cols) = self._plain_on
@@ -330,7 +329,6 @@ def texture_of(
 
 
 def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[np.uint8]:
-    """Return red, green and blue of a picture on a background of one colour."""
     ground = np.array(color, dtype=np.uint16)
     made = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
     for row in range(0, len(pixels), _ROWS_AT_ONCE):
@@ -353,7 +351,6 @@ def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:
 
 
 def _as_file(pixels: NDArray[np.uint8], **profile: Any) -> bytes:
-    """Return a picture as a file written by GDAL."""
     height, width = pixels.shape[:2]
     with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -373,7 +370,6 @@ def _open(path: str, **options: Any) -> Any:
 
 
 def _is_plain(photo: Any) -> bool:
-    """Return whether a picture has no georeference of any kind."""
     return (
         photo.transform.is_identity
         and photo.crs is None
@@ -383,7 +379,6 @@ def _is_plain(photo: Any) -> bool:
 
 
 def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
-    """Raise if a photo cannot be draped."""
     n_colors = photo.count - (ColorInterp.alpha in photo.colorinterp)
     if n_colors not in (1, 3, 4) or photo.dtypes[0] != "uint8":
         raise InvalidHeightsError(
@@ -406,7 +401,6 @@ def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
 
 
 def _bounds(placed: Any, width: int, height: int) -> tuple[float, float, float, float]:
-    """Return left, bottom, right, top of a raster, which may be rotated."""
     corners = [(row, col) for row in (0.0, height) for col in (0.0, width)]
     xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *one) for one in corners), strict=True)
     return min(xs), min(ys), max(xs), max(ys)
@@ -420,7 +414,6 @@ def _overlap(
     grid: Transform,
     shape: tuple[int, int],
 ) -> tuple[float, float, float, float]:
-    """Return column, row, columns and rows of the part of the grid that the photo covers."""
     left, bottom, right, top = transform_bounds(photo_crs, grid_crs, *bounds, densify_pts=_DENSITY)
     corners = [places_to_pixels(grid, x, y) for x in (left, right) for y in (bottom, top)]
     rows, cols = zip(*corners, strict=True)
@@ -450,7 +443,6 @@ def _texels_per_pixel(
 
 
 def _size(width: float, height: float, max_side: int, max_bytes: int) -> tuple[int, int]:
-    """Return whole numbers of texels within the limits, in the same proportion."""
     shrink = min(
         1.0,
         max_side / max(width, height),

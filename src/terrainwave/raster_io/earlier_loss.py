@@ -27,7 +27,6 @@ NO_LOSS = EarlierLoss(0.0)
 
 
 def earlier_files(metadata: Mapping[str, object]) -> tuple[EarlierFile, ...]:
-    """Return the files that heights went through before; empty if the metadata are malformed."""
     found = metadata.get(EARLIER)
     files = found if isinstance(found, list) else []
     return tuple(

@@ -40,7 +40,6 @@ class Even(NamedTuple):
     is_valid: bool
 
     def heights(self, shape: tuple[int, int], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Return them as an array."""
         return np.full(shape, self.value, dtype=dtype)
 
 
@@ -88,7 +87,6 @@ class Layers:
         self._near = cache(self._near_band)
 
     def touching(self, region: Region) -> list[int]:
-        """Return the numbers of the places that a region touches, in order."""
         row, col, n_rows, n_cols = region
         is_low = n_rows <= self._band
         numbers, top, left, bottom, right = self._near(row // self._band) if is_low else self._edges
@@ -127,7 +125,6 @@ def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable
 
 
 def samples_in(regions: Sequence[Region]) -> int:
-    """Return how many samples lie in at least one of the regions."""
     row_ends = sorted({end for one in regions for end in (one.row, one.row + one.n_rows)})
     col_ends = sorted({end for one in regions for end in (one.col, one.col + one.n_cols)})
     is_covered = np.zeros((len(row_ends) - 1, len(col_ends) - 1), dtype=np.bool_)

@@ -48,7 +48,6 @@ def stamps_of(src: Any) -> list[list[str | int]] | None:
 
 
 def _files_below(source: Any) -> set[str]:
-    """Return the files of a raster, including those that a VRT names; empty if it has none."""
     if hasattr(source, "files") and hasattr(source, "block_shapes"):
         waiting = [os.fspath(name) for name in source.files]
     elif not isinstance(source, str | os.PathLike):
@@ -62,7 +61,6 @@ def _files_below(source: Any) -> set[str]:
 
 
 def _all_below(names: list[str], named: Callable[[str], list[str]]) -> set[str]:
-    """Return files and all that they name, recursively."""
     found: set[str] = set()
     waiting = [*names]
     while waiting:

@@ -84,7 +84,6 @@ class Orientation(NamedTuple):
         return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
 
     def before(self, part: Region, shape: tuple[int, int]) -> Region:
-        """Return the window of the raster itself for a window of the turned raster, of `shape`."""
         row = shape[0] - part.row - part.n_rows if self.flip_rows else part.row
         col = shape[1] - part.col - part.n_cols if self.flip_cols else part.col
         if self.swap:
@@ -292,7 +291,6 @@ class MosaicBackend(RasterBackend):
 
     @property
     def _is_across(self) -> bool:
-        """Return True if the rasters lie next to each other a whole turn of longitude apart."""
         turn = longitude_turn(self._tags["crs"])
         a, b, _, d, e, _ = self.transform
         if turn is None or b or d:
@@ -415,7 +413,6 @@ class MosaicBackend(RasterBackend):
 def _common(
     rasters: Sequence[_Description], named: _Description
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the tags of a mosaic, and the names of those that differ and are dropped."""
     first, differing = rasters[0], list[str]()
     tags = {**first.tags, "units": named.tags["units"]}
     for name, words in _ALIKE.items():
@@ -472,7 +469,6 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
 
 
 def _check_kind(first: _Description, other: _Description) -> None:
-    """Raise InvalidHeightsError if one raster has depths and the other heights."""
     crs_text = format_crs(first.crs)
     kinds = [kind_name(one.told.kind, crs_text) for one in (first, other)]
     if (kinds[0] == "depths") != (kinds[1] == "depths"):
@@ -495,7 +491,6 @@ def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None
 
 
 def _refuse_kinds(pair: Sequence[tuple[str, Told]], crs_text: str | None) -> NoReturn:
-    """Raise InvalidHeightsError for two rasters whose numbers mean something else."""
     (first, own), (other, found) = (
         (name, kind_name(told.kind, crs_text) + (f" ({told.by})" if told.kind else ""))
         for name, told in pair
@@ -553,7 +548,6 @@ def _pixel(transform: tuple[float, ...]) -> float:
 
 
 def _difference(mine: tuple[float, ...], theirs: tuple[float, ...]) -> float:
-    """Return the difference of two transforms' steps from pixel to pixel."""
     return max(abs(mine[k] - theirs[k]) for k in (0, 1, 3, 4))
 
 
@@ -566,7 +560,6 @@ def _grid_text(transform: tuple[float, ...]) -> str:
 
 
 def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[str]:
-    """Yield the statements of rasters, equal ones only once."""
     of_remarks: dict[str, list[_Description]] = {}
     for one, remarks in said:
         for remark in remarks:
@@ -576,13 +569,11 @@ def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[
 
 
 def _names(rasters: Sequence[Any]) -> str:
-    """Return the first one's name and the number of the others."""
     more = f" and {len(rasters) - 1} more" if len(rasters) > 1 else ""
     return f"{rasters[0].name}{more}"
 
 
 def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
-    """Yield a note if the rasters declare several nodata values, and the mosaic has one."""
     values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
     if len(values) > 1 or (values and repr(kept) not in values):
         yield (

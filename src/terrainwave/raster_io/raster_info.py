@@ -106,7 +106,6 @@ class RasterInfo:
 
     @property
     def void_value(self) -> int | float:
-        """Value of a void sample in an array or file of this raster."""
         if self.nodata is not None:
             return self.nodata
         return math.nan if np.dtype(self.dtype).kind == "f" else 0
@@ -143,12 +142,10 @@ class RasterInfo:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the uncompressed samples."""
         return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
 
     @property
     def impossible_places(self) -> str | None:
-        """Return a sentence with the likely cause if samples lie at impossible degrees."""
         is_placed = self.transform != IDENTITY
         return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 
@@ -309,14 +306,12 @@ def undeclared_by(
 
 
 def is_same_value(one: int | float, other: int | float, dtype: np.dtype[Any]) -> bool:
-    """Return True if two nodata values mean the same samples of a type."""
     if math.isnan(one) or math.isnan(other):
         return math.isnan(one) and math.isnan(other)
     return bool(stored_nodata(one, dtype) == stored_nodata(other, dtype))
 
 
 def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:
-    """Return the stored sample value that means `nodata`."""
     with np.errstate(over="ignore", under="ignore"):
         value = np.float64(nodata).astype(dtype) if dtype.kind == "f" else dtype.type(nodata)
     if dtype.kind == "f" and math.isfinite(nodata) and not np.isfinite(value):

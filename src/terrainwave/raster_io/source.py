@@ -191,7 +191,6 @@ class RasterSource:
         self.is_striped = self.is_file and block_cols >= self.info.n_cols > _NARROW_COLS
 
     def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
-        """Return the file's nodata value; store the other values that mark voids."""
         dtype, declared = self._backend.dtype, self._backend.nodata
         # Stored values that mark voids, including the file's nodata value.
         self._voids: list[Any] = []
@@ -218,7 +217,6 @@ class RasterSource:
         return nodata
 
     def _complete_info(self, choice: NodataChoice, notes: list[str]) -> RasterInfo:
-        """Check the band's type and decide nodata; append to `notes`."""
         backend = self._backend
         dtype = backend.dtype
         _check_dtype(dtype, self.name)
@@ -302,7 +300,6 @@ class RasterSource:
         return by_numbers(self.told or Told(), crs_text, metres)
 
     def _refuse_some_radii(self, crs_text: str | None) -> None:
-        """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
         found = list[tuple[str, Told]]()
         with self._lent() as backend:
             for name, told, windows in backend.parts(_SCAN_SAMPLES):
@@ -464,7 +461,6 @@ class RasterSource:
                 yield from parts
 
     def close(self) -> None:
-        """Close files that were opened here."""
         for backend in (self._backend, *self._others):
             backend.close()
 
@@ -476,7 +472,6 @@ class RasterSource:
 
 
 def _ends(windows: Iterable[tuple[np.ndarray, np.ndarray]]) -> Iterator[tuple[float, float]]:
-    """Yield the extremes of the valid heights of windows, as stored."""
     for heights, valid in windows:
         found = heights[valid]
         if found.size:
@@ -519,7 +514,6 @@ class _Opening:
     heights_are: str | None
 
     def backend(self, source: Any) -> RasterBackend:
-        """Open the source."""
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
                 if not self.georeference:
@@ -549,12 +543,10 @@ class _Opening:
         )
 
     def _is_raster(self, source: Any) -> bool:
-        """Return whether it is the path of a raster, or an open raster with a position."""
         is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
         return is_dataset or isinstance(source, str | os.PathLike) or self._is_terrain(source)
 
     def _is_terrain(self, source: Any) -> bool:
-        """Return whether it is a .twz file that can be opened here."""
         if self.open_terrain is None:
             return False
         if isinstance(source, str | os.PathLike):
@@ -573,7 +565,6 @@ class _Opening:
         )
 
     def _refuse_options_of_rasters(self, source: Any) -> None:
-        """Raise `InvalidArgumentError` for options that do not apply to .twz files."""
         name = shown(getattr(source, "name", source))
         if self.band != 1:
             raise InvalidArgumentError(

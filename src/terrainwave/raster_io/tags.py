@@ -27,7 +27,6 @@ class KeptTags(NamedTuple):
 
 
 def select_tags(tags: Mapping[str, str]) -> KeptTags:
-    """Return the tags of a raster or a band that a file keeps, short ones before long ones."""
     sizes = {name: _size(name) + _size(value) for name, value in writable_tags(tags.items())}
     kept, room = [], _MOST_BYTES
     for name in sorted(sizes, key=lambda name: (sizes[name], name)):
@@ -40,7 +39,6 @@ def select_tags(tags: Mapping[str, str]) -> KeptTags:
 
 
 def common_tags(sets: Iterable[Tags]) -> Tags:
-    """Return the tags that all of several rasters have."""
     first, *others = map(set, sets)
     return tuple(sorted(first.intersection(*others)))
 
@@ -54,7 +52,6 @@ def writable_tags(tags: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
 
 
 def is_statistic(name: str) -> bool:
-    """Return whether a tag is a statistic of the heights."""
     return name.upper().startswith(_MEASURED)
 
 

@@ -92,7 +92,6 @@ class Spool:
 
     @property
     def region(self) -> Region:
-        """Return the whole array as a region."""
         return Region(*self.origin, *self.shape)
 
     def read(self, region: Region) -> NDArray[Any]:
@@ -214,7 +213,6 @@ class Spool:
         return number * TILE * TILE
 
     def _whole_tile(self, at: tuple[int, int]) -> NDArray[Any]:
-        """Return all samples of a tile; the caller holds the lock."""
         if not _is_in_file(self._states[at]):
             return np.full((TILE, TILE), self._values[at])
         n_bytes = int(self._states[at])
@@ -269,7 +267,6 @@ class Spool:
 
 
 def is_small(shape: tuple[int, int], dtype: DTypeLike) -> bool:
-    """Return whether an array stays in memory."""
     return shape[0] * shape[1] * np.dtype(dtype).itemsize <= MEMORY_LIMIT
 
 
@@ -300,6 +297,5 @@ def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
 
 
 def _is_one(values: NDArray[Any]) -> bool:
-    """Return whether all values are equal, bit for bit."""
     first = values[0, 0]
     return bool(are_bits(values[0], first).all() and are_bits(values, first).all())

@@ -117,7 +117,6 @@ def note_on_undeclared(
 
 
 def _is_near_mark(heights: Any) -> Any:
-    """Return which heights are within `_NEAR` of a mark."""
     near = np.zeros(np.shape(heights), dtype=np.bool_)
     for mark in _MARKS:
         near |= (heights >= mark - _NEAR) & (heights <= mark + _NEAR)
@@ -125,7 +124,6 @@ def _is_near_mark(heights: Any) -> Any:
 
 
 def _survey(source: RasterSource, is_suspect: Any) -> _Survey:
-    """Read all heights; return the suspect ones by value, and the ranges of the others."""
     found: dict[Any, _Found] = {}
     ranges = {True: (np.inf, -np.inf), False: (np.inf, -np.inf)}
     for region, even in source.parts():

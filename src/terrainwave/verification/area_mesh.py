@@ -72,7 +72,6 @@ def error_problems(
     what: str,
     of: str = "stated error",
 ) -> Iterator[str]:
-    """Yield a line if samples are further from a mesh than `most`, in 1/16 quanta."""
     if errors.n_beyond:
         yield (
             f"{errors.n_beyond} {what} are further from it than the {of}"
@@ -83,7 +82,6 @@ def error_problems(
 
 
 def missing_samples(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
-    """Yield a line if a mesh does not cover samples that it must cover."""
     missing = wanted & ~errors.is_covered
     if missing.any():
         row, col = np.argwhere(missing)[0].tolist()

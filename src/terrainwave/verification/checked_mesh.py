@@ -37,7 +37,6 @@ class CheckedMesh(NamedTuple):
     triangles: NDArray[np.integer]
 
     def on_grid(self, stride: int) -> "CheckedMesh":
-        """Return the same surface in half samples of a grid `stride` times finer."""
         return self._replace(rows=self.rows * stride, cols=self.cols * stride)
 
     @property

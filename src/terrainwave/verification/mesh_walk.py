@@ -102,7 +102,6 @@ class Checks:
     n_left_out: int = 0
 
     def add(self, where: str, problems: Iterator[str] | list[str]) -> None:
-        """Record problems of a place."""
         for problem in problems:
             if len(self.problems) < _MAX_LISTED:
                 self.problems.append(f"{where}: {problem}")
@@ -110,7 +109,6 @@ class Checks:
                 self.n_left_out += 1
 
     def all(self) -> list[str]:
-        """Return the recorded problems, and the number of further ones."""
         if not self.n_left_out:
             return self.problems
         return [*self.problems, f"… and {self.n_left_out} more problems of meshes"]
@@ -248,7 +246,6 @@ class MeshVerification:
         )
 
     def _check_lines(self, block: Block, surface: CheckedMesh) -> None:
-        """Compare borders with earlier neighbours; keep those for later ones."""
         grid = self._grid
         mask_shape = block_mask(self._terrain, block).shape
         for axis, (down, right) in enumerate(((1, 0), (0, 1))):

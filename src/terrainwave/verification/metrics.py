@@ -95,7 +95,6 @@ class ErrorSum:
         return max(self._largest, rounded) <= bound
 
     def report(self) -> ErrorReport:
-        """Return the report so far."""
         worst_row, worst_col = self._worst or (None, None)
         return ErrorReport(
             n_valid=self._n_valid,

@@ -62,7 +62,6 @@ class QuantaScale:
         return heights
 
     def of_physical(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return physical heights, scale and offset applied, in 1/16 quanta; not rounded."""
         raw = (heights - self._offset) / self._scale
         return (raw * self._denominator / self._numerator - self._base) * SIXTEENTHS
 
@@ -73,7 +72,6 @@ class QuantaScale:
         return float(near) if abs(exact - near) <= _SLACK * max(near, 1) else exact
 
     def physical(self, sixteenths: float) -> float:
-        """Return an error of 1/16 quanta in physical units."""
         return sixteenths / SIXTEENTHS * self.quantum
 
 
@@ -103,7 +101,6 @@ def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
 
 
 def block_problems(terrain: Any, block: Block, surface: CheckedMesh) -> Iterator[str]:
-    """Check that a block's mesh covers the span of its samples once."""
     mask = block_mask(terrain, block)
     if min(mask.shape) < 2:
         if len(surface.triangles):

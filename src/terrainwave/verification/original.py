@@ -108,7 +108,6 @@ class Original:
         return kind_problem(own, (told, crs_text))
 
     def _metres(self, crs_text: str | None) -> Iterator[tuple[float, float]]:
-        """Yield the ends of valid numbers of windows in metres, or NaN."""
         index = self.band - 1
         offset, units = float(self.dataset.offsets[index]), self.dataset.units[index]
         for window, even in self.windows():
@@ -127,7 +126,6 @@ class Original:
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return raw heights and validity of a window of the file."""
         row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
@@ -147,14 +145,12 @@ class Original:
         return self.turn.of_array(heights), self.turn.of_array(valid)
 
     def _stored(self, region: Region) -> Region:
-        """Return the region of the dataset, in its own order, for a region of the file."""
         if self.place is not None:
             row, col = region.row - self.place.row, region.col - self.place.col
             region = region._replace(row=row, col=col)
         return self.turn.before(region, self.shape)
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights equal a value that marks voids."""
         found = (self.equals(heights, value) for value in self._voids)
         return np.logical_or.reduce(list(found))
 
@@ -184,13 +180,11 @@ class Original:
 
     @property
     def side(self) -> int:
-        """Return the side of the smallest windows for which the index is used."""
         rows, cols = self.window_shape
         return -(-max(rows, cols) // rows) * rows
 
     @property
     def window_shape(self) -> tuple[int, int]:
-        """Return rows and columns of windows."""
         n_cols = self.shape[1]
         if self.dataset.block_shapes[self.band - 1][1] < n_cols:
             return _WINDOW_SIDE, _WINDOW_SIDE
@@ -202,7 +196,6 @@ class Original:
         return is_seen(self.read, region, even)
 
     def _even(self, region: Region) -> Even | None:
-        """Return the content of a region by the file's index."""
         even = None if self._alphas else self._index.even(self._stored(region))
         if even is None:
             return None
@@ -254,7 +247,6 @@ def _place(
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
-    """Describe a window."""
     return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
 
 

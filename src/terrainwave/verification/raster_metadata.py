@@ -68,7 +68,6 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
 
 
 def place_problem(terrain: Any, original: Original) -> str:
-    """Return why the raster of a part lies elsewhere and cannot be compared; empty if it can."""
     if original.place is not None:
         return ""
     n_rows, n_cols = original.shape
@@ -81,7 +80,6 @@ def place_problem(terrain: Any, original: Original) -> str:
 
 
 def unit_problem(terrain: Any, original: Original) -> str:
-    """Return why heights in different units cannot be compared; empty if they can."""
     unit = height_unit(terrain.info().units, terrain.crs)
     return meeting("the original", original.unit(), "the file", unit).problem
 

@@ -155,7 +155,6 @@ def _compress_each(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make a file of each raster, in a directory."""
     import terrainwave
     from terrainwave.write.job import NO_BOUND
 
@@ -194,7 +193,6 @@ def _asked(options: dict[str, Any]) -> Options:
 
 
 def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
-    """Return the manifest of a batch, which finds the files that are up to date."""
     from terrainwave.raster_io.files import files_of
     from terrainwave.write.origin import difference
 

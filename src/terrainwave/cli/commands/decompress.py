@@ -165,7 +165,6 @@ def _decompress_each(
 
 
 def _in_json(lost: list["Losses"], options: dict[str, Any]) -> dict[str, Any]:
-    """Return the losses if damage is not an error."""
     if options["on_error"] == RAISE:
         return {}
     return {"lost": lost[0].to_dict() if lost else None}
@@ -188,7 +187,6 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
 
 
 def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
-    """Raise for options of height tiles."""
     if options["size"]:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     voids = options["voids"]
@@ -202,7 +200,6 @@ def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
 
 
 def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
-    """Raise for options of GeoTIFFs."""
     if options["vertical"] != AS_IS:
         raise click.UsageError(
             f"{target}: found --vertical {options['vertical']}, expected none: a height tile keeps"
@@ -215,7 +212,6 @@ def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
 
 
 def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
-    """Return the manifest of a batch, which finds the rasters that are up to date."""
     unrelated = ("overwrite", "threads")
 
     def compare(_: str, target: str, known: str, __: ProgressCallback) -> str:

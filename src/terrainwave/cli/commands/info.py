@@ -112,7 +112,6 @@ class _Found:
 
 
 def files_before(earlier: Any) -> str:
-    """Return the .twz files that heights went through, the last one first."""
     return ", from ".join(
         f"{plain(file['file'])}, within {file['max_error']:.6g} of the original"
         for file in reversed(earlier)
@@ -135,7 +134,6 @@ def _voids_in_words(info: Any, n_voids: int | None) -> str:
 
 
 def _print_parts(parts: Any) -> None:
-    """Print the bytes of each part of a file; levels only if they have bytes of their own."""
     rows = [("header and metadata", parts.metadata), ("tables", parts.tables)]
     rows += [("index", parts.index), ("heights", sum(parts.heights))]
     if len(parts.heights) > 1:

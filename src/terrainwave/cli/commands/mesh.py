@@ -119,7 +119,6 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 @writing
 @click.pass_context
 def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
-    """Write a mesh to a file of its own, or with --store into a .twz."""
     _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
@@ -130,7 +129,6 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
 
 
 def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool, lods: int | None) -> None:
-    """Raise for options of separate meshes with --store, and the reverse."""
     given = {
         name
         for name in context.params
@@ -249,7 +247,6 @@ def _export_mesh(
 
 
 def _check_shape(target: str, shape: dict[str, Any]) -> None:
-    """Raise for options that conflict with others or with the format; reads no file."""
     from terrainwave.export.mesh_files import check_extension, check_shape
 
     try:

@@ -78,7 +78,6 @@ def render(
 
 
 def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
-    """Raise for cameras in addition to a flight, and for a number of pictures without one."""
     source = click.get_current_context().get_parameter_source("n_frames")
     if flight is None and source is ParameterSource.COMMANDLINE:
         raise click.UsageError("found --frames without --flight, expected both")
@@ -102,7 +101,6 @@ def _draw(
     quiet: bool,
     **options: Any,
 ) -> list[dict[str, Any]]:
-    """Draw the pictures; return a description of each."""
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
@@ -156,7 +154,6 @@ def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
 
 
 def _numbered(target: str, n_frames: int) -> list[str]:
-    """Return a name for each picture of a flight."""
     path = Path(target)
     digits = max(4, len(str(n_frames)))
     return [

@@ -181,7 +181,6 @@ def _answer(add: Callable[[str], Any], file: str, address: str) -> dict[str, Any
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the address."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:

@@ -110,7 +110,6 @@ def _verify(
 
 
 def _refuse_unfit_without_original(ctx: click.Context) -> None:
-    """Raise for options that concern the original."""
     for name in ("band", "nodata", "heights_are", "max_error", "part"):
         if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             option = f"--{name}".replace("_", "-")

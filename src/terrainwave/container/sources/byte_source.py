@@ -118,13 +118,11 @@ class BufferSource(ByteSource):
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def _some(self, file: BinaryIO, offset: int, length: int) -> bytes:
-        """Return bytes from an offset on; none at the end of the file."""
         with self._lock:
             file.seek(offset)
             return file.read(length)
 
     def close(self) -> None:
-        """Release the buffer; a file object given by the caller is not closed."""
         self._file = None
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -140,7 +140,6 @@ class Connections:
         raise AssertionError("the second attempt returns or raises")
 
     def close(self) -> None:
-        """Close all; threads that wait for a reply get an `OSError`."""
         with self._lock:
             self._is_closed = True
             managers, self._managers, self._pools = self._managers, {}, {}
@@ -241,7 +240,6 @@ def _exchange(
 
 
 def _cause(error: BaseException) -> Exception:
-    """Return the error wrapped by urllib3."""
     while True:
         inner = next((item for item in error.args if isinstance(item, Exception)), None)
         inner = inner or error.__cause__  # type: ignore[assignment]

@@ -29,7 +29,6 @@ class ByteRange(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Return the offset after the last byte."""
         return self.offset + self.length
 
 
@@ -144,11 +143,9 @@ class RoundReader:
         self._n_requests += len(spans)
 
     def has(self, place: ByteRange) -> bool:
-        """Return whether a range is fetched already."""
         return not self._missing(place)
 
     def take(self, wanted: ByteRange) -> bytes:
-        """Return the bytes of a fetched range."""
         return b"".join(
             piece[max(0, wanted.offset - start) : wanted.end - start]
             for start, piece in self._overlapping(wanted)
@@ -160,7 +157,6 @@ class RoundReader:
             insort(self._pieces, (part.offset, data[part.offset - offset : part.end - offset]))
 
     def _missing(self, wanted: ByteRange) -> list[ByteRange]:
-        """Return the parts of a range that are not fetched, without empty ones."""
         parts, pos = [], wanted.offset
         for start, piece in self._overlapping(wanted):
             if pos < start:

@@ -92,7 +92,6 @@ _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 
 def open_url(url: str) -> ByteSource:
-    """Open the source of a URL; raise `StorageError` if it cannot be read."""
     first, rest = split_chain(url)
     scheme, _, name = first.partition("://")
     if scheme.lower() in ("http", "https"):
@@ -145,7 +144,6 @@ class _Reply(NamedTuple):
 
     @property
     def seconds_to_wait(self) -> float:
-        """Return the seconds of `Retry-After`; 0 if it is missing or malformed."""
         with suppress(InvalidHeader, OverflowError, ValueError):
             return _RETRY.parse_retry_after(self.headers.get("Retry-After", ""))
         return 0.0
@@ -225,7 +223,6 @@ class HttpSource(_UrlSource):
 
     @property
     def version(self) -> str:
-        """Return the ETag, or else the time of the last change."""
         return self._version.etag or self._version.modified or ""
 
     def renew(self) -> None:
@@ -409,7 +406,6 @@ class HttpSource(_UrlSource):
         return basic_login(url) or (basic_login(self._named) if is_same else None)
 
     def close(self) -> None:
-        """Close all connections; waiting threads get an error."""
         self._is_closed = True
         self._closing.set()
         self._connections.close()
@@ -441,7 +437,6 @@ def _unreadable(name: str, error: Exception) -> StorageError:
 
 
 def _coding(headers: Mapping[str, str]) -> str:
-    """Return a reply's compression, "" if none."""
     coding = headers.get("Content-Encoding", "").strip().lower()
     return "" if coding == "identity" else coding
 
@@ -516,7 +511,6 @@ class FsspecSource(_UrlSource):
 
     @property
     def version(self) -> str:
-        """Return the file system's version of the file."""
         return self._version or ""
 
     def check_unchanged(self) -> None:

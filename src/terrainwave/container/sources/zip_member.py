@@ -137,7 +137,6 @@ def _member(path: str, source: ByteSource) -> ByteSource:
 
 
 def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
-    """Return start and number of the bytes of a stored member."""
     head = source.read(info.header_offset, _LOCAL_HEADER)
     lengths = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
     start = info.header_offset + _LOCAL_HEADER + sum(lengths)
@@ -161,7 +160,6 @@ class _AsFile(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a position, as files do."""
         self._at = max(offset + {0: 0, 1: self._at, 2: self._source.size}[whence], 0)
         return self._at
 

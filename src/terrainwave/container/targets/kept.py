@@ -90,24 +90,20 @@ class Kept:
 
     @property
     def is_on(self) -> bool:
-        """Return whether anything is kept."""
         return self._file is not None
 
     @property
     def n_bytes(self) -> int:
-        """Return the size of the work on disk."""
         return 0 if self.directory is None else sum(map(_on_disk, self._paths(self.directory)))
 
     @property
     def n_kept(self) -> int:
-        """Return the number of records."""
         return len(self.names())
 
     def names(self) -> list[str]:
         return [name for name in self._records if name not in (_RUN, _BOOT, _SYNCED)]
 
     def get(self, name: str) -> dict[str, Any] | None:
-        """Return the values of a record; None if it does not exist."""
         record = self._records.get(name)
         return None if record is None else record.values
 
@@ -119,7 +115,6 @@ class Kept:
             return self._file.read(record.n_bytes)
 
     def put(self, name: str, values: dict[str, Any], data: bytes = b"") -> None:
-        """Keep a record."""
         if self._file is None:
             return
         with self._lock:
@@ -137,7 +132,6 @@ class Kept:
         return True
 
     def path(self, name: str) -> Path | None:
-        """Return the path of an array's file; None if nothing is kept."""
         return None if self.directory is None else self.directory / f"{name}{_ARRAY}"
 
     def each(
@@ -166,11 +160,9 @@ class Kept:
             self.put(name, {"done": done, "is_whole": True, **values()})
 
     def is_whole(self, name: str) -> bool:
-        """Return whether all items of `each` are done."""
         return "is_whole" in (self.get(name) or {})
 
     def clear(self) -> None:
-        """Remove all work."""
         if self.directory is None:
             return
         with self._lock, storage_errors(f"cannot use {self.directory}"):
@@ -179,7 +171,6 @@ class Kept:
             self._open(self.directory)
 
     def close(self) -> None:
-        """Close the journal; the work stays."""
         with self._lock:
             self._close()
 
@@ -260,7 +251,6 @@ class Kept:
 
 
 def _records(file: BinaryIO) -> Iterator[_Record]:
-    """Yield the records of a journal up to the first incomplete one."""
     size = os.fstat(file.fileno()).st_size
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         magic, n_text, n_data, crc = _HEAD.unpack(head)
@@ -278,7 +268,6 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _boot() -> str:
-    """Return the system's boot identifier; a unique one if it has none."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return os.urandom(8).hex()
@@ -350,7 +339,6 @@ def kept_directory(
 
 
 def digest_of_file(path: str | os.PathLike[str]) -> str:
-    """Return a digest of a file's bytes."""
     with storage_errors(f"cannot read {os.fspath(path)}"), open(path, "rb") as file:
         return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 

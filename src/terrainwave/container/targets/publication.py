@@ -216,12 +216,10 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
 
 
 def system_scratch() -> AbstractContextManager[Path]:
-    """Yield a scratch directory among the system's temporary files."""
     return scratch_directory(tempfile.gettempdir(), "terrainwave")
 
 
 def _remove_scratch(lock_path: Path, lock: BinaryIO) -> None:
-    """Remove a scratch directory, then its lock; if removal fails, the lock stays."""
     directory = lock_path.with_suffix(SCRATCH_SUFFIX)
     shutil.rmtree(directory, ignore_errors=True)
     dispose(Part(lock_path, lock), [] if directory.exists() else [lock_path])
@@ -325,7 +323,6 @@ def remove_stale_parts(final: Path) -> list[Path]:
 
 
 def beside(part: Path) -> list[Path]:
-    """Return GDAL's files next to an unfinished one, such as overviews of a COG."""
     prefix = f"{part.name}."
     return [part.with_name(name) for name in listed(part.parent) if name.startswith(prefix)]
 

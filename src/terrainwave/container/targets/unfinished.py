@@ -48,7 +48,6 @@ class Part:
 
 
 def leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
-    """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
     prefix = f".{_short(name)}."
     for entry in listed(directory):
         if entry.startswith(prefix) and entry.endswith(suffix):
@@ -67,7 +66,6 @@ def _short(name: str) -> str:
 
 
 def listed(directory: Path) -> list[str]:
-    """Return the names in a directory, none if it cannot be read."""
     try:
         return sorted(os.listdir(directory))
     except OSError:
@@ -185,7 +183,6 @@ def _try_lock(file: BinaryIO) -> _Lock:
 
 
 def dispose(part: Part | None, paths: list[Path]) -> None:
-    """Close the part and remove the files of `paths`."""
     # Removed before the file is closed and unlocked, so that nobody else can take the name; after
     # it, where open files cannot be removed.
     for path in paths:

@@ -88,7 +88,6 @@ class Channel:
             self._pool.submit(self._answer, asked, self._in_threads[what], question)
 
     def close(self) -> None:
-        """Stop answering."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _begin(self) -> bool:

@@ -47,7 +47,6 @@ def region_of_box(globe: Globe, box: Any) -> Region:
 
 
 def _cut(extent: Extent, box: Extent) -> Extent | None:
-    """Return the part of a box that lies in an extent, in the extent's longitudes."""
     parts = []
     for turn in range(-3, 4):  # maps count turns
         west = max(extent.west, box.west + 360 * turn)
@@ -80,7 +79,6 @@ def _samples(globe: Globe, box: Extent) -> Region:
 
 
 def outline(globe: Globe, region: Region) -> list[list[float]]:
-    """Return the border of a region's pixels as [longitude, latitude], closed."""
     row, col, n_rows, n_cols = region
     along = np.linspace(0, 1, _N_ALONG)
     still = np.zeros(_N_ALONG)

@@ -14,7 +14,6 @@ _ENDINGS = (".html", ".css", ".js")
 
 
 def widget_module() -> str:
-    """Return the module for the notebook: js/notebook/widget.js."""
     return (_notebook_directory() / "widget.js").read_text(encoding="utf-8")
 
 
@@ -37,7 +36,6 @@ def page_files() -> dict[str, bytes]:
 
 @cache
 def page_version() -> str:
-    """Return an identifier of this version of the page."""
     digest = hashlib.sha256()
     for name, packed in page_files().items():
         digest.update(name.encode() + packed)

@@ -34,7 +34,6 @@ _FOREVER, _COMPARED = "max-age=31536000, immutable", "no-cache"
 
 
 def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
-    """Return the look that a request asks for, `look` where it does not say."""
     is_clear = look.transparent_voids if voids is None else voids == "transparent"
     return Look(encoding or look.encoding, is_clear)
 
@@ -223,7 +222,6 @@ class Answers:
         desk: Desk,
         ahead: Ahead | None = None,
     ) -> Response:
-        """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
         span = asked_span(request.headers, size, headers["ETag"])
         if span is None:
             return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
@@ -304,7 +302,6 @@ def heights_at(layer: Layer, places: Locations) -> dict[str, Any]:
 
 
 def height_at(layer: Layer, place: Locations) -> dict[str, Any]:
-    """Return the height at one place, as `heights_at` does, in one object."""
     found = heights_at(layer, place)
     (result,) = found["results"]
     return {

@@ -57,7 +57,6 @@ def describe(
 
 
 def origin_of(tags: dict[str, str]) -> dict[str, str]:
-    """Return the tags that say whose data it is: a few, each a line that is not too long."""
     told = {name: text for name, text in tags.items() if text and _ORIGIN.search(name)}
     return {
         in_one_line(name)[:_LONGEST_TAG]: in_one_line(text)[:_LONGEST_TAG]

@@ -100,7 +100,6 @@ class Connection(H11Protocol):
 
 
 def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
-    """Return the server that answers with `app`; `n_files` files are open while it runs."""
     config = uvicorn.Config(
         app,
         # Not httptools, where that is installed: its protocol is another class.
@@ -126,7 +125,6 @@ class _Server(uvicorn.Server):
 
 
 def _limited(n_files: int) -> type[Connection]:
-    """Return the class of connections, as many as there are handles for."""
     most = MAX_CONNECTIONS
     if resource is not None:
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

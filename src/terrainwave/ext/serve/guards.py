@@ -15,7 +15,6 @@ _CONTENT_POLICY = (
 
 
 def guards_of(*, cors: bool) -> dict[str, str]:
-    """Return the headers that say with every answer what a page may do with it."""
     return {
         "X-Content-Type-Options": "nosniff",
         "Content-Security-Policy": _CONTENT_POLICY,

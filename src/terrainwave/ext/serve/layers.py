@@ -35,7 +35,6 @@ _N_NAMES = 10
 
 
 def version_of(*parts: object) -> str:
-    """Return a short text that changes with each of the parts."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
@@ -80,8 +79,6 @@ class Layer(Raster):
         self._rgb_tiles: Cache[tuple[Any, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
 
     def rgb_tile(self, z: int, x: int, y: int, rim: int, look: Look) -> tiling.RgbTile | None:
-        """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
-
         # In a tuple: a cache holds no None, which says here that there is no terrain.
         def make() -> tuple[tiling.RgbTile | None]:
             return (tiling.rgb_tile(self.globe, z, x, y, rim, look),)
@@ -90,7 +87,6 @@ class Layer(Raster):
         return tile
 
     def covering(self, z: int, x: int, y: int, rim: int, color: str, look: Look) -> bytes | None:
-        """Return the PNG that paints a tile's voids; None if it has none."""
         tile = self.rgb_tile(z, x, y, rim, look)
         voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
@@ -171,7 +167,6 @@ class Shelf:
 
 
 def named(name: str, rasters: dict[str, _Served]) -> _Served:
-    """Return a raster; `HTTPException` 404 for an unknown name."""
     if name not in rasters:
         listed = [*islice(rasters, _N_NAMES), *(["…"] if len(rasters) > _N_NAMES else [])]
         raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(listed)}")

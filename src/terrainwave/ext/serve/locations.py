@@ -61,7 +61,6 @@ def locations_of(asked: Any, interpolation: Any = None) -> Locations:
 
 
 def _pair_of(part: Any, number: int) -> tuple[float, float]:
-    """Return latitude and longitude of location `number`, counted from 1."""
     if isinstance(part, dict):
         pair = part.get("latitude"), part.get("longitude")
     elif isinstance(part, str) and (match := _PAIR.fullmatch(part)):

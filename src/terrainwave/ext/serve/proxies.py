@@ -114,7 +114,6 @@ class Proxied:
 
 
 def _forwarded(headers: Headers) -> dict[str, str]:
-    """Return the last value of each header that a request has."""
     values = {name: headers.getlist(f"x-forwarded-{name}") for name in _EXPECTED}
     last = {name: found[-1].split(",")[-1].strip() for name, found in values.items() if found}
     return {name: value.rstrip("/") for name, value in last.items() if value}

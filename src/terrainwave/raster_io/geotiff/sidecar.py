@@ -62,7 +62,6 @@ def forget_measured(path: str | os.PathLike[str]) -> list[str]:
 
 
 def _drop_measured(element: Any) -> None:
-    """Remove statistics from an element, and elements that become empty."""
     for child in list(element):
         _drop_measured(child)
         is_domain = child.tag == "Metadata" and child.get("domain") in _OF_TWZ
@@ -108,7 +107,6 @@ def _as_gdal_writes_it(crs: CRS) -> Any:
 
 
 def crs_of_geotiff(head: bytes) -> CRS | None:
-    """Return the CRS of the head of a GeoTIFF in memory."""
     with bounded_env(), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with MemoryFile(head) as memory, memory.open() as dataset:

@@ -49,7 +49,6 @@ _SMALLEST_SHARE = 0.05
 
 
 def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
-    """Return rasterio's profile of a tiled GeoTIFF without compression."""
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "height": info.n_rows,
@@ -79,7 +78,6 @@ def band_tags_of(info: RasterInfo) -> dict[str, str]:
 
 
 def write_description(dataset: Any, info: RasterInfo) -> None:
-    """Write a raster's metadata other than its profile."""
     dataset.update_tags(**dict(writable_tags(info.tags)))
     dataset.update_tags(1, **band_tags_of(info))
     color = info.color_interpretation
@@ -249,7 +247,6 @@ class RasterSink:
             raise self._full_disk()
 
     def close(self) -> None:
-        """Finish the file and move it to its place."""
         with self._files:
             try:
                 with bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
@@ -268,7 +265,6 @@ class RasterSink:
                 raise self._cannot_write(error) from error
 
     def abort(self) -> None:
-        """Remove the unfinished file; the target is untouched."""
         with contextlib.suppress(*GDAL_ERRORS):
             self._dataset.close()
         with contextlib.suppress(_Aborted), self._files:
@@ -348,7 +344,6 @@ def _is_full(folder: Path) -> bool:
 
 
 def _refusal(folder: Path) -> OSError | None:
-    """Return the system's error for a test write to a directory; None if it succeeds."""
     try:
         with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
             n_bytes = 0

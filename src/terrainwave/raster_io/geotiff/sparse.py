@@ -56,7 +56,6 @@ class Plane(NamedTuple):
 
     @property
     def n_across(self) -> int:
-        """Return the number of tiles in a row."""
         return -(-self.shape[1] // self.tile)
 
     @property
@@ -65,7 +64,6 @@ class Plane(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """Return the offset after the last tile."""
         return self.start + self.n_tiles * self.tile_bytes
 
 
@@ -159,7 +157,6 @@ def _written_by_gdal(
 
 
 def _directories(head: bytearray, is_big: bool) -> Iterator[dict[int, _Entry]]:
-    """Yield the entries of each directory by tag, in file order."""
     link, count, entry_bytes, value_at = ("<Q", "<Q", 20, 12) if is_big else ("<I", "<H", 12, 8)
     (place,) = struct.unpack_from(link, head, 8 if is_big else 4)
     while place:
@@ -197,7 +194,6 @@ def _plane_of(fields: dict[int, _Entry], shift: int, shape: tuple[int, int]) -> 
 
 
 def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: bool) -> None:
-    """Set size and tile offsets of a plane in its directory."""
     offsets = plane.start + plane.tile_bytes * np.arange(plane.n_tiles, dtype=np.uint64)
     for tag, values in (
         (_LENGTH, np.array(plane.shape[:1])),

@@ -61,11 +61,9 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         return False
 
     def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
-        """Raise, as the stream is read-only."""
         raise io.UnsupportedOperation("a GeoTIFF that is made when it is read cannot be written")
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to an offset from start, current position or end; return the new position."""
         with self._lock:
             start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._file.size}
             if whence not in start or start[whence] + offset < 0:
@@ -77,7 +75,6 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         return self._place
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return `size` bytes from the current position, or all that are left."""
         with self._lock:
             left = max(self._file.size - self._place, 0)
             n_bytes = left if size is None or size < 0 else min(size, left)
@@ -86,7 +83,6 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
             return data
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer from the current position; return the number of bytes read."""
         data = self.read(len(buffer))
         buffer[: len(data)] = data
         return len(data)

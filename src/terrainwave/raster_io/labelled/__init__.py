@@ -115,7 +115,6 @@ def variable_of(source: Any) -> Any:
 
 
 def _describing(dataset: Any) -> set[str]:
-    """Return the names of variables that only describe others: grid mappings, bounds of cells."""
     names = set()
     for variable in dataset.variables.values():
         for fields in (variable.attrs, variable.encoding):
@@ -152,7 +151,6 @@ def _roles(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions that rioxarray was given, or finds."""
     roles: dict[str, Any] = {}
     for owner in (array, source):
         accessor = getattr(owner, "rio", None)
@@ -198,7 +196,6 @@ def _how_to_tell(array: Any) -> str:
 
 
 def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list[str]]:
-    """Return the array with only x and y: the requested band, or the only one."""
     key: list[Any] = []
     notes: list[str] = []
     has_bands = False

@@ -67,7 +67,6 @@ def numbers_of(value: Any) -> list[int | float]:
 
 
 def number_of(fields: Any, name: str, default: float) -> float:
-    """Return an attribute as one number."""
     if name not in fields:
         return default
     numbers = numbers_of(fields[name])

@@ -47,7 +47,6 @@ _RADIANS = ("rad", "radian", "radians")
 
 
 def mapping_of(array: Any) -> dict[str, Any]:
-    """Return the attributes of the coordinate that holds CRS and transform."""
     name = mapping_name(array)
     return dict(array.coords[name].attrs) if name in array.coords else {}
 
@@ -85,7 +84,6 @@ def _plain_crs(told: Any) -> CRS | None:
 
 
 def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
-    """Return the CRS of a CF grid mapping without WKT."""
     try:
         return crs_of_grid_mapping(mapping), []
     except ImportError:
@@ -235,7 +233,6 @@ def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform 
 
 
 def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.generic] | None]:
-    """Return name and values of a dimension's coordinate."""
     for name, coord in coords_along(array, dim):
         centres = np.asarray(coord.values)
         if centres.dtype.kind in "iuf":
@@ -290,7 +287,6 @@ def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
 
 
 def _check_even(array: Any, what: str, fit: Fit) -> None:
-    """Raise `InvalidHeightsError` unless coordinates follow their grid."""
     if fit.is_even:
         return
     how_far = (

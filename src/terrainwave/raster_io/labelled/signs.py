@@ -29,7 +29,6 @@ NO_PLACE = "take the heights without place and CRS by georeference=False"
 
 
 def title(array: Any) -> str:
-    """Return the name of an array for messages."""
     name = getattr(array, "name", None)
     return "the DataArray" if name is None else f"the DataArray {name}"
 
@@ -43,7 +42,6 @@ def mapping_name(array: Any) -> str:
 
 
 def sizes_of(array: Any) -> str:
-    """Return dimensions and their sizes, in words."""
     return ", ".join(f"{dim} ({size})" for dim, size in zip(array.dims, array.shape))
 
 
@@ -58,17 +56,14 @@ def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
 
 
 def by_axis(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by CF's attribute `axis`."""
     return _said(coord.attrs.get("axis"), _AXIS)
 
 
 def by_standard_name(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by CF's `standard_name`."""
     return _said(coord.attrs.get("standard_name"), _STANDARD_NAMES)
 
 
 def by_units(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by units of longitude and latitude."""
     return _said(coord.attrs.get("units"), _UNITS)
 
 
@@ -102,6 +97,5 @@ def places_of(array: Any) -> tuple[Any, Any] | None:
 
 
 def is_degrees(coord: Any) -> bool:
-    """Return whether a coordinate's attributes mark it as longitude or latitude."""
     name = str(coord.attrs.get("standard_name")).lower()
     return bool(by_units("", coord)) or name in ("longitude", "latitude")

@@ -6,7 +6,6 @@ from typing import Any
 
 
 def text_of(dataset: Any) -> str:
-    """Return the XML of a VRT."""
     return "".join(dataset.tags(ns="xml:VRT").values())
 
 
@@ -23,6 +22,5 @@ def rectangles_of(source: ET.Element, default: float) -> list[list[float]]:
 
 
 def path_of(element: ET.Element, folder: str) -> str:
-    """Return the name of a source; a relative one starts at the VRT's folder."""
     name = element.text or ""
     return os.path.join(folder, name) if element.get("relativeToVRT", "0") == "1" else name

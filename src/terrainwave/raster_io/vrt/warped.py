@@ -114,7 +114,6 @@ def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
 
 
 def _own_kinds(root: ET.Element) -> Iterator[str]:
-    """Yield how a VRT itself, without its sources, depends on windows."""
     for transformer in root.iter("ApproxTransformer"):
         if float(transformer.findtext("MaxError", "0")) > 0:
             yield "warped"
