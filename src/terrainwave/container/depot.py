@@ -50,10 +50,7 @@ class Depot:
     def put(self, name: str, data: bytes) -> None:
         """Store bytes under a name.
 
-        Raises
-        ------
-        StorageError
-            If they cannot be written.
+        Raises `StorageError` if they cannot be written.
         """
         data += zlib.crc32(data).to_bytes(_CRC_BYTES, "little")
         where = display_name(self._path(name))
@@ -72,12 +69,8 @@ class Depot:
     def get(self, name: str) -> bytes:
         """Return the bytes under a name.
 
-        Raises
-        ------
-        StorageError
-            If the entry does not exist.
-        CorruptStreamError
-            If it is damaged.
+        Raises `StorageError` if the entry does not exist. Raises `CorruptStreamError` if it is
+        damaged.
         """
         data = self._read(name, 0, None)
         end = max(len(data) - _CRC_BYTES, 0)
@@ -113,10 +106,7 @@ class Depot:
     def remove(self, names: Iterable[str] = ()) -> None:
         """Delete everything in the depot: `names`, and all entries that it lists.
 
-        Raises
-        ------
-        StorageError
-            If something cannot be deleted.
+        Raises `StorageError` if something cannot be deleted.
         """
         with filesystem_errors(f"cannot remove temporary data in {display_name(self.root)}"):
             filesystem, path = _filesystem(self.root)

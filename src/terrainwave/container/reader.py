@@ -50,9 +50,10 @@ _CHECK_BATCH = 4 * 1024 * 1024
 class Container:
     """Open .twz file: bytes by key, no heights.
 
-    A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level
-    -1. Keys and blocks outside of the grid raise `KeyError`. Thread-safe; can be pickled
-    if its source can; a context manager.
+    A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level -1.
+    Keys and blocks outside of the grid raise `KeyError`. Thread-safe; can be pickled if its source
+    can; a context manager. Raises `TerrainwaveError` if the header, the metadata or the top page
+    cannot be read.
 
     Parameters
     ----------
@@ -67,11 +68,6 @@ class Container:
     ----------
     n_missing : int
         Bytes missing from such a file; else 0.
-
-    Raises
-    ------
-    TerrainwaveError
-        If the header, the metadata or the top page cannot be read.
 
     Notes
     -----

@@ -238,10 +238,7 @@ class SegmentSpool:
     def chunks(self, keys: list[Block]) -> Iterator[bytes]:
         """Yield the payload, then the mesh, of each of `keys`; one payload in memory at a time.
 
-        Raises
-        ------
-        StorageError
-            If the temporary file is damaged.
+        Raises `StorageError` if the temporary file is damaged.
         """
         for key in keys:
             entry = self._entries[key]

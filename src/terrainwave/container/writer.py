@@ -66,6 +66,10 @@ _Extents = defaultdict[Block | None, _Extent]
 def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     """Write a whole file to `out_file`, from its current position.
 
+    Raises `ValueError` if a segment, payload or code is missing or too much. Raises
+    `InvalidHeightsError` if the header or its metadata is outside the limits of the format. Raises
+    `StorageError` if a temporary file cannot be read or the disk is full.
+
     Parameters
     ----------
     out_file : binary file object
@@ -75,15 +79,6 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     segments : mapping of Block or None to SegmentSpool, LikeSegment, StoredSegment or None
         One for each of ``header.grid.segment_heads()``, complete; None for one that is void, and
         nothing for those below it.
-
-    Raises
-    ------
-    ValueError
-        If a segment, payload or code is missing or too much.
-    InvalidHeightsError
-        If the header or its metadata is outside the limits of the format.
-    StorageError
-        If a temporary file cannot be read or the disk is full.
 
     Notes
     -----
@@ -150,17 +145,14 @@ def append_digests(
 ) -> None:
     """Append the digests of its heights to a file written by `assemble`.
 
+    Raises `StorageError` if the disk is full.
+
     Parameters
     ----------
     out_file : binary file object
         The file from its first byte on; seekable.
     header, extents : Header, Extents
         Those of the file; `extents` as `assemble` returned them.
-
-    Raises
-    ------
-    StorageError
-        If the disk is full.
     """
     section = digests.pack()
     header = replace(header, features=header.features | HAS_DIGESTS)

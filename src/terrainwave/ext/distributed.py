@@ -21,12 +21,8 @@ _TIMEOUT = 15.0  # seconds
 def connected(address: str) -> Iterator[Any]:
     """Yield a client of the scheduler at `address`, such as ``tcp://10.0.0.5:8786``.
 
-    Raises
-    ------
-    ClusterError
-        If nothing answers there, it has no workers, or they have another terrainwave.
-    TerrainwaveError
-        If dask.distributed is not installed.
+    Raises `ClusterError` if nothing answers there, it has no workers, or they have another
+    terrainwave. Raises `TerrainwaveError` if dask.distributed is not installed.
     """
     distributed = need("distributed", extra="distributed", purpose="a cluster")
     addressing = need("distributed.comm.addressing", extra="distributed", purpose="a cluster")

@@ -75,6 +75,11 @@ def publish_site(
 ) -> list[PublishedTerrain]:
     """Write a folder that shows .twz files from any static web server.
 
+    Raises `InvalidHeightsError` if browsers cannot read a file's method, the raster has no position
+    on a globe or none that polynomials can express, or two files have the same name. Raises
+    `CorruptStreamError` if a file is not a .twz file. Raises `StorageError` if something cannot be
+    read or written.
+
     Parameters
     ----------
     paths : list of str
@@ -92,16 +97,6 @@ def publish_site(
         are heights below -450 m.
     overwrite : bool
         Replace an existing folder of this kind.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If browsers cannot read a file's method, the raster has no position on a globe or none that
-        polynomials can express, or two files have the same name.
-    CorruptStreamError
-        If a file is not a .twz file.
-    StorageError
-        If something cannot be read or written.
     """
     tiling.encoding_of(encoding)
     SEA_LEVEL.checked("sea_level", sea_level)
@@ -121,7 +116,8 @@ def write_site(
     """Write a folder with a page that shows and proves the .twz files of its visitors.
 
     The folder is that of `publish_site` with three samples. The page opens files that are dropped
-    on it or named by a URL, and compares them with their original GeoTIFFs.
+    on it or named by a URL, and compares them with their original GeoTIFFs. Raises `StorageError`
+    if something cannot be read or written.
 
     Parameters
     ----------
@@ -134,11 +130,6 @@ def write_site(
     -------
     list of PublishedTerrain
         The samples.
-
-    Raises
-    ------
-    StorageError
-        If something cannot be read or written.
     """
     samples = sorted((reader_directory() / _SITE / "samples").glob("*.twz"))
     paths = [str(path) for path in samples]
@@ -262,10 +253,7 @@ def _copy_tree(source: Path, target: Path, ignored: tuple[str, ...] = ()) -> Non
 def reader_directory() -> Path:
     """Return the folder of the JavaScript reader: in the package, or in its repository.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If it is in neither.
+    Raises `InvalidHeightsError` if it is in neither.
     """
     here = Path(__file__)
     for found in (here.parent / "serve" / "reader", here.parents[3] / "js"):

@@ -45,12 +45,8 @@ def parse_crs(text: str | None) -> CRS | None:
 def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
     """Return the CRS of a CF grid mapping without WKT.
 
-    Raises
-    ------
-    ImportError
-        Without pyproj.
-    CRSError, KeyError, RuntimeError, TypeError, ValueError
-        If pyproj cannot read the mapping.
+    Raises `ImportError`: without pyproj. Raises `CRSError` or `KeyError` or `RuntimeError` or
+    `TypeError` or `ValueError` if pyproj cannot read the mapping.
     """
     from pyproj import CRS as ProjCRS
 

@@ -95,7 +95,8 @@ class Photo:
     """An open image, read in windows warped to a grid. Thread-safe; a context manager.
 
     A window reads only what it needs: parts of the file or of a sufficiently fine overview; tiles
-    of the matching zoom.
+    of the matching zoom. Raises `InvalidHeightsError` if it is not such an image, has no
+    georeference, or does not overlap the grid. Raises `StorageError` if it cannot be read.
 
     Parameters
     ----------
@@ -112,13 +113,6 @@ class Photo:
     plain_on : Footprint, optional
         Area, in the grid's CRS, that a picture without georeference covers. Without it such a
         picture is refused.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is not such an image, has no georeference, or does not overlap the grid.
-    StorageError
-        If it cannot be read.
     """
 
     def __init__(

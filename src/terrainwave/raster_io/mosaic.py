@@ -147,7 +147,10 @@ class MosaicBackend(RasterBackend):
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
     Rows and columns are ordered as in the first raster; rasters in another order (south first,
-    turned by right angles) are turned while they are read.
+    turned by right angles) are turned while they are read. Raises `InvalidHeightsError` if several
+    have no georeference, or they differ in CRS, resolution, type, scale, offset or units, or by
+    their metadata in depths and heights, or their pixels don't lie on one grid; the message names
+    the raster and says what to do. Raises `StorageError` if one cannot be opened.
 
     Parameters
     ----------
@@ -159,15 +162,6 @@ class MosaicBackend(RasterBackend):
         Adds to the nodata value of each, or replaces it.
     heights_are : str, optional
         Meaning of all numbers; overrides the metadata.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If several have no georeference, or they differ in CRS, resolution, type, scale, offset or
-        units, or by their metadata in depths and heights, or their pixels don't lie on one grid;
-        the message names the raster and says what to do.
-    StorageError
-        If one cannot be opened.
 
     Notes
     -----

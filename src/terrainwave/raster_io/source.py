@@ -84,6 +84,10 @@ _SCAN_SAMPLES = 1 << 19
 class RasterSource:
     """One band of a raster, read window by window.
 
+    Raises `InvalidHeightsError` if the band is missing, its type is unsupported, the array is not
+    2-D or empty, or `nodata` does not fit the type; or if a .twz file is given. Raises
+    `StorageError` if the file is missing or not a raster.
+
     Parameters
     ----------
     source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
@@ -130,14 +134,6 @@ class RasterSource:
     is_striped : bool
         True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
         times cheaper than small windows.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the band is missing, its type is unsupported, the array is not 2-D or empty, or
-        `nodata` does not fit the type; or if a .twz file is given.
-    StorageError
-        If the file is missing or not a raster.
 
     Notes
     -----

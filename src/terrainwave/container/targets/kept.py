@@ -54,6 +54,8 @@ class _Record(NamedTuple):
 class Kept:
     """Finished work of one run; thread-safe.
 
+    Raises `StorageError` if the directory cannot be used.
+
     Parameters
     ----------
     directory : Path, optional
@@ -67,11 +69,6 @@ class Kept:
         The `run` of other work that was found in the directory, and removed.
     n_found : int
         Number of records of an earlier run.
-
-    Raises
-    ------
-    StorageError
-        If the directory cannot be used.
     """
 
     def __init__(self, directory: Path | None = None, run: dict[str, Any] | None = None) -> None:
@@ -288,7 +285,8 @@ def kept_directory(
 
     It is called ``.name.digits.twz-kept``. It is removed at the end of the block, unless the block
     raises an exception after work was kept: then a note of the exception names it. The caller must
-    be the only writer of `target` (`unfinished.only_writer`).
+    be the only writer of `target` (`unfinished.only_writer`). Raises `StorageError` if the
+    directory cannot be used, or belongs to another user.
 
     Parameters
     ----------
@@ -299,11 +297,6 @@ def kept_directory(
         another name, and removes existing work.
     fresh : bool
         Discard the work of an earlier run.
-
-    Raises
-    ------
-    StorageError
-        If the directory cannot be used, or belongs to another user.
     """
     path = own_path(target, Path(parent), KEPT_SUFFIX)
     if fresh or run is None:

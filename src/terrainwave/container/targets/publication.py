@@ -50,7 +50,10 @@ def publish(
     After an exception the unfinished file is removed and the target is unchanged. Parts that killed
     runs have left next to the target are removed, unless a living process holds their lock. GDAL's
     files next to the target describe another raster and are removed at the end, as GDAL does when
-    it writes a raster.
+    it writes a raster. Raises `InvalidArgumentError` if `overwrite` is neither true nor false, or
+    `target` is a URL. Raises `StorageError`: before the block: if the target exists and `overwrite`
+    is false, is not a regular file, or its directory is missing or not writable. After it: if the
+    disk is full, the target cannot be replaced, or one of GDAL's files cannot be removed.
 
     Parameters
     ----------
@@ -64,15 +67,6 @@ def publish(
     Yields
     ------
     part : Part
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `overwrite` is neither true nor false, or `target` is a URL.
-    StorageError
-        Before the block: if the target exists and `overwrite` is false, is not a regular file, or
-        its directory is missing or not writable. After it: if the disk is full, the target cannot
-        be replaced, or one of GDAL's files cannot be removed.
     """
     check_flags(overwrite=overwrite)
     check_local(target)
@@ -114,10 +108,7 @@ def publish(
 def remove_of_gdal(target: str | os.PathLike[str], *suffixes: str) -> None:
     """Remove GDAL's files next to a raster, also next to the target of a symbolic link.
 
-    Raises
-    ------
-    StorageError
-        If one cannot be removed.
+    Raises `StorageError` if one cannot be removed.
     """
     for name in {os.path.realpath(target), os.path.abspath(target)}:
         for path in (Path(f"{name}{suffix}") for suffix in suffixes):
@@ -187,12 +178,8 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
 
     It is called ``.name.random.twz-scratch``; next to it lies a locked file, ``.twz-lock``, created
     before it and removed after it. Directories that killed runs with the same `name` have left in
-    `parent` are removed first, unless a living process holds their lock.
-
-    Raises
-    ------
-    StorageError
-        If `parent` is missing or not writable.
+    `parent` are removed first, unless a living process holds their lock. Raises `StorageError` if
+    `parent` is missing or not writable.
     """
     parent = Path(parent)
     for stale in leftovers(parent, name, LOCK_SUFFIX):
@@ -231,7 +218,10 @@ def publish_directory(
 ) -> Iterator[Path]:
     """Yield a directory to fill; it gets the name `target` when the block ends without exception.
 
-    After an exception it is removed and the target is unchanged.
+    After an exception it is removed and the target is unchanged. Raises `InvalidArgumentError` if
+    `overwrite` is neither true nor false, or `target` is a URL. Raises `StorageError`: before the
+    block: if the target exists and may not be replaced, or its parent is missing or not writable.
+    After it: if the target cannot be replaced.
 
     Parameters
     ----------
@@ -240,14 +230,6 @@ def publish_directory(
         Name of a file in every such directory: others are never replaced.
     overwrite : bool
         Replace an existing directory with `marker`; an empty one is always replaced.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If `overwrite` is neither true nor false, or `target` is a URL.
-    StorageError
-        Before the block: if the target exists and may not be replaced, or its parent is missing or
-        not writable. After it: if the target cannot be replaced.
     """
     check_flags(overwrite=overwrite)
     check_local(target)

@@ -33,6 +33,11 @@ def uploaded(
 ) -> Iterator[Part]:
     """Yield a file to write; it appears at a URL when the block ends without exception.
 
+    Raises `InvalidArgumentError` if URLs of this kind are not writable. Raises `StorageError`:
+    before the block: if the file exists and `overwrite` is false, or its storage cannot be reached.
+    After it: if it cannot be uploaded; the finished file then stays on this machine, and the
+    message names it.
+
     Parameters
     ----------
     url : str
@@ -41,15 +46,6 @@ def uploaded(
         Replace an existing file.
     temp_dir : path, optional
         Directory of the local file; by default the system's directory for temporary files.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If URLs of this kind are not writable.
-    StorageError
-        Before the block: if the file exists and `overwrite` is false, or its storage cannot be
-        reached. After it: if it cannot be uploaded; the finished file then stays on this machine,
-        and the message names it.
     """
     check_flags(overwrite=overwrite)
     name = display_name(url)

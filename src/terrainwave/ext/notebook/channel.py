@@ -115,12 +115,8 @@ class Channel:
 def read_ranges(source: ByteSource, question: Question) -> Answer:
     """Return the bytes of ``ranges``, pairs of start and end, each as a buffer.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If they are not ranges inside the file.
-    LimitExceededError
-        If there are too many, or too many bytes.
+    Raises `InvalidArgumentError` if they are not ranges inside the file. Raises
+    `LimitExceededError` if there are too many, or too many bytes.
     """
     ranges = question.get("ranges")
     if not isinstance(ranges, list) or not ranges:

@@ -52,6 +52,10 @@ def make_app(
 ) -> FastAPI:
     """Return the application that serves these files.
 
+    Raises `InvalidArgumentError` if an option has none of its values. Raises `InvalidHeightsError`
+    if two files have the same name or none has a place on the globe. Raises `TerrainwaveError` if
+    no file can be opened; one that cannot beside others is a warning.
+
     Parameters
     ----------
     paths : list of str
@@ -81,15 +85,6 @@ def make_app(
     proxy : tuple of str
         IP addresses or networks of proxies whose X-Forwarded-Proto, -Host and -Prefix are believed,
         besides those on this machine.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If an option has none of its values.
-    InvalidHeightsError
-        If two files have the same name or none has a place on the globe.
-    TerrainwaveError
-        If no file can be opened; one that cannot beside others is a warning.
     """
     SEA_LEVEL.checked("sea_level", sea_level)
     public = None if public_url is None else address_of(public_url)

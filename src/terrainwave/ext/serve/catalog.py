@@ -67,10 +67,7 @@ def origin_of(tags: dict[str, str]) -> dict[str, str]:
 def layer_names(paths: list[str]) -> dict[str, str]:
     """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If two files have the same name.
+    Raises `InvalidHeightsError` if two files have the same name.
     """
     names: dict[str, str] = {}
     for path in paths:

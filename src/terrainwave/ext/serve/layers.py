@@ -99,12 +99,8 @@ _Served = TypeVar("_Served", bound=Raster)
 def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[str, Layer]:
     """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
 
-    Raises
-    ------
-    TerrainwaveError
-        What is wrong with the first file, if none can be served.
-    InvalidHeightsError
-        If two files have the same name.
+    Raises `TerrainwaveError`: what is wrong with the first file, if none can be served. Raises
+    `InvalidHeightsError` if two files have the same name.
     """
     layers: dict[str, Layer] = {}
     refused: list[TerrainwaveError] = []
@@ -140,12 +136,8 @@ class Shelf:
     def add(self, path: str) -> Raster:
         """Serve one more file, under a name that no other has; not on the page.
 
-        From one thread at a time. A file that is added again is opened again.
-
-        Raises
-        ------
-        TerrainwaveError
-            If it cannot be opened.
+        From one thread at a time. A file that is added again is opened again. Raises
+        `TerrainwaveError` if it cannot be opened.
         """
         (stem,) = layer_names([path])
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))

@@ -39,11 +39,8 @@ class Locations(NamedTuple):
 def locations_of(asked: Any, interpolation: Any = None) -> Locations:
     """Return the places of a text ``lat,lon|lat,lon``, or of objects with latitude and longitude.
 
-    Raises
-    ------
-    BadLocationsError
-        If they are missing, too many, not numbers or off the globe, or if another interpolation
-        than bilinear is wanted.
+    Raises `BadLocationsError` if they are missing, too many, not numbers or off the globe, or if
+    another interpolation than bilinear is wanted.
     """
     if interpolation not in (None, "bilinear"):
         raise BadLocationsError(f"found interpolation {shown(interpolation)}, expected bilinear")
@@ -89,10 +86,8 @@ def _degrees(name: str, value: Any, most: int, number: int) -> float:
 async def read_body(stream: AsyncIterator[bytes]) -> bytes:
     """Return the body of a request.
 
-    Raises
-    ------
-    HTTPException
-        413 if it is longer than MAX_BODY, 408 if it takes more than `ASK_SECONDS`.
+    Raises `HTTPException`: 413 if it is longer than MAX_BODY, 408 if it takes more than
+    `ASK_SECONDS`.
     """
     body = bytearray()
     try:
@@ -111,10 +106,7 @@ async def read_body(stream: AsyncIterator[bytes]) -> bytes:
 def fields_of(body: bytes, media_type: str) -> dict[str, Any]:
     """Return the fields of a body: an object in JSON, or a form by its media type.
 
-    Raises
-    ------
-    BadLocationsError
-        If it is neither.
+    Raises `BadLocationsError` if it is neither.
     """
     try:
         if media_type.split(";")[0].strip().lower() == "application/x-www-form-urlencoded":

@@ -36,10 +36,7 @@ class PublicUrl(NamedTuple):
 def public_url(text: str) -> PublicUrl:
     """Return an address that a user gives.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not http or https with a host and, at most, a path.
+    Raises `InvalidArgumentError` if it is not http or https with a host and, at most, a path.
     """
     try:
         parts = urlsplit(text)
@@ -58,10 +55,7 @@ def public_url(text: str) -> PublicUrl:
 def network_of(text: str) -> Network:
     """Return the network of an address such as 10.0.0.7 or 10.0.0.0/8.
 
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither.
+    Raises `InvalidArgumentError` if it is neither.
     """
     try:
         return ip_network(text, strict=False)

@@ -46,10 +46,7 @@ class Desk:
     async def do(self, work: Callable[..., Any], *args: Any, is_begun: bool = False) -> Any:
         """Return ``work(*args)``, done in a thread; work for an answer that has begun waits.
 
-        Raises
-        ------
-        HTTPException
-            503 if too many requests wait already.
+        Raises `HTTPException`: 503 if too many requests wait already.
         """
         if not is_begun and self._n_asked >= self._n_decoding + N_WAITING:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
@@ -132,10 +129,7 @@ async def parts(
 async def begun(made: AsyncGenerator[bytes, None]) -> AsyncIterator[bytes]:
     """Return the same parts; the first is made now, so that its errors become answers.
 
-    Raises
-    ------
-    HTTPException, TerrainwaveError
-        What the first one raises.
+    Raises `HTTPException` or `TerrainwaveError`: what the first one raises.
     """
     first = await anext(made)
 

@@ -121,6 +121,9 @@ _THREADS = _Threads()
 class RasterSink:
     """GeoTIFF written window by window; it appears complete or not at all.
 
+    Raises `StorageError` if the target exists, its directory cannot be written, or the disk cannot
+    hold it.
+
     Parameters
     ----------
     path : path
@@ -135,11 +138,6 @@ class RasterSink:
         Threads that GDAL compresses with.
     stated : mapping of str, optional
         Items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
-
-    Raises
-    ------
-    StorageError
-        If the target exists, its directory cannot be written, or the disk cannot hold it.
 
     Notes
     -----
