@@ -526,7 +526,7 @@ def test_finished_units_take_little_memory(tmp_path):
             keys = grid.segment_groups(head)
             for key in keys:
                 sink(key, b"payload")
-                sink.spools[head].set_codes(key, bytes(16))
+                sink.spools[head].codes[key] = bytes(16)
             sink.store(head)
             for start in grid.children(head):
                 below = [key for key in keys if key.level > start.level and is_below(key, start)]

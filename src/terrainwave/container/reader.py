@@ -317,10 +317,6 @@ class Container:
             check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
         return data
 
-    def flags(self, key: Block) -> int:
-        ((segment, row),) = self._rows([key])
-        return int(segment.page.flags[row])
-
     def codes(self, block: Block) -> tuple[int, int, int, int]:
         if not self.grid.contains(block):
             raise KeyError(f"the grid has no {block}")

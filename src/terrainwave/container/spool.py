@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import BinaryIO, NamedTuple
 
-from terrainwave.container.page import MAX_PAYLOAD, N_CODES
+from terrainwave.container.page import MAX_PAYLOAD
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.grid.quadtree import Block
 
@@ -56,16 +56,10 @@ def cannot_write(
 
 
 def _storage_error(action: str, error: BaseException | str, advice: str) -> StorageError:
-    if _is_disk_full(error):
+    is_full = getattr(error, "errno", None) in _DISK_FULL
+    if is_full or os.strerror(errno.ENOSPC).lower() in str(error).lower():
         return StorageError(f"{action}: the disk is full{advice}")
-    reason = getattr(error, "strerror", None) or error
-    return StorageError(f"{action}: {reason}")
-
-
-def _is_disk_full(error: BaseException | str) -> bool:
-    if isinstance(error, OSError) and error.errno in _DISK_FULL:
-        return True
-    return os.strerror(errno.ENOSPC).lower() in str(error).lower()
+    return StorageError(f"{action}: {getattr(error, 'strerror', None) or error}")
 
 
 # Large temporary files may lie on another disk than the file itself.
@@ -73,16 +67,12 @@ TEMPORARY_ADVICE = "; free space there, or name another directory with `temp_dir
 _DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
-class Entry(NamedTuple):
-    """Positions of a payload and its mesh in the spool, and their fields of the page."""
+class Section(NamedTuple):
+    """Position of a payload or a mesh in a `SectionFile`, and its checksum."""
 
-    offset: int
-    payload_length: int
-    payload_crc: int
-    mesh_offset: int
-    mesh_length: int
-    mesh_crc: int
-    flags: int
+    offset: int = 0
+    length: int = 0
+    crc: int = 0
 
 
 class LikeSegment(NamedTuple):
@@ -180,77 +170,48 @@ class StoredSegment(NamedTuple):
 
 
 class SegmentSpool:
-    """Stores the payloads of one segment in any order; `assemble` writes them in page order."""
+    """Stores the payloads of one segment in any order; `assemble` writes them in page order.
+
+    A key is the parent of a group, or one of `Grid.root_keys`. `codes` of a key are four bytes for
+    each block of its payload, in Morton order.
+    """
 
     def __init__(self, file: SectionFile) -> None:
         self._file = file
-        self._entries: dict[Block, Entry] = {}
-        self._codes: dict[Block, bytes] = {}
+        self.payloads: dict[Block, Section] = {}
+        self.meshes: dict[Block, Section] = {}
+        self.codes: dict[Block, bytes] = {}
 
-    def add(
-        self,
-        key: Block,
-        payload: bytes,
-        flags: int = 0,
-        codes: bytes | None = None,
-        mesh: bytes = b"",
-    ) -> None:
-        """Store the payload of `key`: the parent of a group, or one of `Grid.root_keys`.
-
-        `codes` are four bytes for each block of the payload, in Morton order; they may be set later
-        by `set_codes`.
-        """
-        if len(payload) > MAX_PAYLOAD:
-            raise ValueError(f"payload of {len(payload)} bytes: too long")
-        if not 0 <= flags <= 255:
-            raise ValueError(f"flags {flags} do not fit a byte")
-        if key in self._entries:
-            raise ValueError(f"{key} has already been added")
-        offset = self._file.append(payload)
-        self._entries[key] = Entry(offset, len(payload), zlib.crc32(payload), 0, 0, 0, flags)
-        if mesh:
-            self.set_mesh(key, mesh)
-        if codes is not None:
-            self.set_codes(key, codes)
+    def add(self, key: Block, payload: bytes) -> None:
+        self.payloads[key] = self._stored(payload)
 
     def set_mesh(self, key: Block, mesh: bytes) -> None:
-        if len(mesh) > MAX_PAYLOAD:
-            raise ValueError(f"mesh of {len(mesh)} bytes: too long")
-        self._entries[key] = self._entries[key]._replace(
-            mesh_offset=self._file.append(mesh), mesh_length=len(mesh), mesh_crc=zlib.crc32(mesh)
-        )
+        self.meshes[key] = self._stored(mesh)
 
-    def set_codes(self, key: Block, codes: bytes) -> None:
-        limit = N_CODES if key.is_root_key else 4 * N_CODES
-        if len(codes) % N_CODES or len(codes) > limit:
-            raise ValueError(f"{len(codes)} bytes of codes for {key}")
-        self._codes[key] = bytes(codes)
-
-    def keys(self) -> list[Block]:
-        return list(self._entries)
-
-    def entry(self, key: Block) -> Entry:
-        return self._entries[key]
-
-    def codes(self, key: Block) -> bytes:
-        return self._codes[key]
+    def _stored(self, data: bytes) -> Section:
+        if len(data) > MAX_PAYLOAD:
+            raise ValueError(f"a payload or mesh of {len(data)} bytes is too long")
+        return Section(self._file.append(data), len(data), zlib.crc32(data))
 
     def chunks(self, keys: list[Block]) -> Iterator[bytes]:
         """Yield the payload, then the mesh, of each of `keys`; one payload in memory at a time.
 
         Raises `StorageError` if the temporary file is damaged.
         """
+        for offset, length, crc in self._sections(keys):
+            data = self._file.read(offset, length)
+            if len(data) != length or zlib.crc32(data) != crc:
+                raise StorageError("a file of temporary data is damaged")
+            yield data
+
+    def _sections(self, keys: list[Block]) -> Iterator[Section]:
         for key in keys:
-            entry = self._entries[key]
-            for offset, length, crc in (entry[:3], entry[3:6]):
-                data = self._file.read(offset, length)
-                if len(data) != length or zlib.crc32(data) != crc:
-                    raise StorageError("a file of temporary data is damaged")
-                yield data
+            yield self.payloads[key]
+            if key in self.meshes:
+                yield self.meshes[key]
 
     def stored(self, page: bytes, keys: list[Block]) -> StoredSegment:
-        entries = [self._entries[key] for key in keys if page]
-        places = [place for one in entries for place in (one[:2], one[3:5]) if place[1]]
+        places = [one[:2] for one in self._sections(keys) if page and one.length]
         data = page + b"".join(_PLACE.pack(*place) for place in places)
         n_bytes = sum(length for _, length in places)
         return StoredSegment(self._file, self._file.append(data), len(page), len(places), n_bytes)

@@ -377,7 +377,9 @@ class _Comparison:
             heights, decoded_valid = np.ma.getdata(decoded), ~np.ma.getmaskarray(decoded)
             both = valid & decoded_valid
             differences = errors.add(row, col, original, heights, valid, decoded_valid, n_alike)
-            beyond.add(row, col, differences, self._allowed(original, heights, both), n_alike)
+            beyond.add_beyond(
+                row, col, differences, self._allowed(original, heights, both), n_alike
+            )
             if keeps_signs:
                 zeros = both & (original == 0) & (heights == 0)
                 differ = zeros & (np.signbit(original) != np.signbit(heights))
@@ -393,7 +395,7 @@ class _Comparison:
         problems = [
             *_shortened(unreadable),
             *self._mask_problems(errors.report(), n_taken),
-            *beyond.problems(self._scale, self._bound),
+            *beyond.problems_beyond(self._scale, self._bound),
             *signs.problems(_OTHER_ZEROS),
             *wrong_side.problems(f"not {word} the original, {{first}}, against the file's bound"),
         ]
@@ -477,22 +479,22 @@ class _Counted:
     """Counts samples of a kind, and keeps the first."""
 
     def __init__(self) -> None:
-        self._count = 0
-        self._first = 0, 0
+        self._count = self._row = self._col = 0
 
     def add(self, row: int, col: int, found: np.ndarray, n_alike: int) -> None:
-        if not found.any():
-            return
-        if not self._count:
-            at_row, at_col = np.argwhere(found)[0]
-            self._first = row + int(at_row), col + int(at_col)
+        if found.any() and not self._count:
+            at_row, at_col = np.argwhere(found)[0].tolist()
+            self._row, self._col = row + at_row, col + at_col
         self._count += n_alike * int(np.count_nonzero(found))
+
+    @property
+    def _samples(self) -> str:
+        return "1 sample is" if self._count == 1 else f"{self._count} samples are"
 
     def problems(self, words: str) -> Iterator[str]:
         if self._count:
-            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
-            row, col = self._first
-            yield f"{samples} {words.format(first=f'the first at row {row}, column {col}')}"
+            place = f"the first at row {self._row}, column {self._col}"
+            yield f"{self._samples} {words.format(first=place)}"
 
 
 _OTHER_ZEROS = (
@@ -501,34 +503,29 @@ _OTHER_ZEROS = (
 )
 
 
-class _Worst:
+class _Worst(_Counted):
     """Counts samples beyond their allowance and keeps the worst."""
 
-    def __init__(self) -> None:
-        self._count = 0
-        self._excess = 0.0
-        self._row = self._col = 0
-        self._difference = 0.0
+    _excess = _difference = 0.0
 
-    def add(self, row: int, col: int, differences: np.ndarray, allowed: Any, n_alike: int) -> None:
+    def add_beyond(
+        self, row: int, col: int, differences: np.ndarray, allowed: Any, n_alike: int
+    ) -> None:
         if np.ndim(allowed) == 0 and differences.max() <= allowed:
             return
         excess = differences - allowed
         self._count += n_alike * int(np.count_nonzero(excess > 0))
         at = int(np.argmax(excess))
         if excess.flat[at] > self._excess:
-            self._excess = float(excess.flat[at])
             at_row, at_col = divmod(at, excess.shape[1])
             self._row, self._col = row + at_row, col + at_col
-            self._difference = float(differences.flat[at])
+            self._excess, self._difference = float(excess.flat[at]), float(differences.flat[at])
 
-    def problems(self, scale: float, bound: float) -> Iterator[str]:
-        if self._count:
-            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
-            yield (
-                f"{samples} further from the original than {bound:.17g}; the worst, at row"
-                f" {self._row}, column {self._col}, by {self._difference * abs(scale):.17g}"
-            )
+    def problems_beyond(self, scale: float, bound: float) -> Iterator[str]:
+        return self.problems(
+            f"further from the original than {bound:.17g}; the worst, at row {self._row}, column"
+            f" {self._col}, by {self._difference * abs(scale):.17g}"
+        )
 
 
 def _shortened(problems: list[str]) -> list[str]:

@@ -8,9 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
 from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
@@ -133,7 +130,7 @@ class MeshVerification:
     ) -> None:
         self._terrain, self._grid = terrain, terrain.grid
         self._has_original = read is not None
-        self._read = read or self._decoded
+        self._read: ReadOriginal = read or terrain.read_with_mask
         self._progress = progress
         self._ruler = QuantaScale(terrain)
         # Kinds that state measured errors and have no bound.
@@ -168,10 +165,6 @@ class MeshVerification:
         )
         against = "original" if self._has_original else "decoded"
         return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
-
-    def _decoded(self, region: Region) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        raw, valid = self._terrain.read_with_mask(region)
-        return raw, valid
 
     def _report(self, n_samples: int) -> None:
         self._n_done += n_samples
@@ -233,7 +226,7 @@ class MeshVerification:
 
     def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
         """Check a finest mesh against the decoded heights that it is made from."""
-        raw, valid = self._decoded(region)
+        raw, valid = self._terrain.read_with_mask(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
         errors = deviation(
             surface,

@@ -1,7 +1,7 @@
 """Errors of decoded heights, accumulated window by window."""
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,10 +31,6 @@ class ErrorReport:
     worst_row: int | None
     worst_col: int | None
     n_mask_differences: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as plain values for JSON."""
-        return asdict(self)
 
 
 class ErrorSum:

@@ -122,10 +122,10 @@ def store_meshes(
             sink(key, container.payload(key))
         sink.set_meshes(sections)
         for spool in sink.present():
-            for key in spool.keys():
+            for key in spool.payloads:
                 blocks = grid.key_blocks(key)
                 own = ([*container.codes(one)[:3], codes.get(one, 0)] for one in blocks)
-                spool.set_codes(key, b"".join(map(bytes, own)))
+                spool.codes[key] = b"".join(map(bytes, own))
         extents = assemble(part.file, header, sink.spools)
         digests = container.digests()
         if digests is not None:  # digests of heights, which do not change
