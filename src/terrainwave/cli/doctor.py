@@ -25,26 +25,15 @@ _OLDEST = (3, 6)
 class Diagnosis:
     """Result of the check.
 
-    Attributes
-    ----------
-    terrainwave : str
-        Version of this package.
-    native : str or None
-        Path of the native library; None if it is missing or not used.
-    native_advice : str
-        Why it is not used; empty if it is.
-    command : str or None
-        Path of GDAL's command; None if it is not on the PATH.
-    gdal : str or None
-        Version of GDAL.
-    reads_twz : bool
-        This GDAL has the driver.
-    advice : tuple of str
-        Steps to take, a sentence each; empty if none.
-    rasterio : str
-        Version of GDAL in this Python's rasterio.
-    rasterio_reads_twz : bool
-        That GDAL has the driver.
+    `terrainwave`: version of this package.
+    `native`: path of the native library; None if it is missing or not used.
+    `native_advice`: why it is not used; empty if it is.
+    `command`: path of GDAL's command; None if it is not on the PATH.
+    `gdal`: version of GDAL.
+    `reads_twz`: this GDAL has the driver.
+    `advice`: steps to take, a sentence each; empty if none.
+    `rasterio`: version of GDAL in this Python's rasterio.
+    `rasterio_reads_twz`: that GDAL has the driver.
     """
 
     terrainwave: str

@@ -28,17 +28,10 @@ Compare = Callable[[str, str, str, ProgressCallback], str | None]
 class Manifest:
     """Targets in a directory, and their sources.
 
-    Parameters
-    ----------
-    directory : path
-    asked : dict
-        The command and its options, as values for JSON.
-    files_of : callable
-        Returns the files that a source is read from; an empty list if they are unknown.
-    compare : callable
-        Compares existing targets that the manifest does not confirm.
-    skips : bool
-        Skip targets that are up to date; otherwise only record targets.
+    `asked`: the command and its options, as values for JSON.
+    `files_of`: returns the files that a source is read from; an empty list if they are unknown.
+    `compare`: compares existing targets that the manifest does not confirm.
+    `skips`: skip targets that are up to date; otherwise only record targets.
     """
 
     def __init__(

@@ -154,12 +154,8 @@ def declared(
 ) -> Callable[[Any], Any]:
     """Return a decorator that gives a command the options of a class, as its fields declare them.
 
-    Parameters
-    ----------
-    options : type
-        Fields without help are not for commands.
-    first, last : str, optional
-        The first and the last field to take; by default those of the class.
+    `options`: fields without help are not for commands.
+    `first`, `last`: the first and the last field to take; by default those of the class.
     """
     names = options.names()
     start = 0 if first is None else names.index(first)

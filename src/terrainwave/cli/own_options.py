@@ -33,12 +33,8 @@ def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, A
     Raises `click.UsageError` or `InvalidArgumentError` if neither the method nor the kind of meshes
     has the option, or the value is invalid.
 
-    Parameters
-    ----------
-    own : sequence of str
-        Values of -o.
-    options : dict
-        Has `mesh`, and `method` and `effort` if the command has these.
+    `own`: values of -o.
+    `options`: has `mesh`, and `method` and `effort` if the command has these.
     """
     words = _words(own)
     in_use = _sets_of({"mesh": DEFAULT_MESH} | options)

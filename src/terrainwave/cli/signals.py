@@ -75,11 +75,8 @@ def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
     A handler that is not the default stays, such as nohup's. Only the first signal counts. Only
     SIGKILL stops the clean-up; then the next run cleans up.
 
-    Parameters
-    ----------
-    is_process : bool
-        The process ends after the block, so signals are ignored from then on: the status is that of
-        the block.
+    `is_process`: the process ends after the block, so signals are ignored from then on: the status
+        is that of the block.
     """
     asked = 0.0
     repeater = None

@@ -39,10 +39,7 @@ _METRES = 30.0
 def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     """Run small jobs of some kinds, by default all; return the skipped ones with reasons.
 
-    Parameters
-    ----------
-    tasks : sequence of str
-        Of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
+    `tasks`: of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
     """
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels

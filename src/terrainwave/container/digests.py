@@ -39,14 +39,11 @@ def tile_digests(
 ) -> dict[Place, bytes]:
     """Return the digests of the tiles of a window that have valid samples.
 
-    Parameters
-    ----------
-    region : Region
-        The window, in samples of the full grid. It begins at a tile and ends with one, or at the
-        raster's edge.
-    raw : ndarray of the raster's dtype, shape (n_rows, n_cols)
-        Decoded heights; undefined in voids.
-    valid : ndarray of bool, shape (n_rows, n_cols)
+    `region`: the window, in samples of the full grid. It begins at a tile and ends with one, or at
+        the raster's edge.
+    `raw` (ndarray of the raster's dtype, shape (n_rows, n_cols)): decoded heights; undefined in
+        voids.
+    `valid` (ndarray of bool, shape (n_rows, n_cols)).
     """
     found = {}
     for row in range(0, region.n_rows, TILE):
@@ -95,12 +92,8 @@ class TileDigests:
 class DigestTree:
     """The tree above the leaves of a raster, which are nodes of 4096 x 4096 samples.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the raster.
-    leaves : mapping of (row, col) to bytes
-        Digests of the leaves that have valid samples.
+    `shape`: rows and columns of the raster.
+    `leaves`: digests of the leaves that have valid samples.
     """
 
     def __init__(self, shape: tuple[int, int], leaves: Nodes) -> None:

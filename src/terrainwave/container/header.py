@@ -87,42 +87,26 @@ class Header:
     The raw height of quantum number k is ``(base + k) * quantum``, in the units of the source's
     stored values (before scale and offset).
 
-    Parameters
-    ----------
-    n_rows, n_cols : int
-        Size of the raster; 1 ... 2^31 each, at most 2^50 samples.
-    block : int
-        Cells per side of a block; a power of two, 32 ... 1024.
-    border_rings : int
-        1 or 3.
-    method : str
-        One of `names.METHODS`.
-    dtype : str
-        Data type of the source and of `read`, one of `DTYPE_CODES`.
-    effort : int
-        Effort of the encoder, 0 ... 9.
-    quantum : Fraction
-        Height of one quantum, raw units; > 0.
-    base : int
-        Added to every quantum number. ``(abs(base) + 2**31) * quantum.numerator < 2**63``.
-    step : int
-        Quantizer width in quanta; odd.
-    z_min, z_max : int
-        Smallest and largest valid height of the originals, in quanta, within ±2^30; 0 and -1 if
-        there is no valid sample.
-    max_error, effective_bound, rho : float
-        Requested bound, effective bound, and its share lost to rounding; raw units.
-    mesh : str
-        The triangulation of every block, one of `names.MESHES`.
-    mesh_tolerance : int
-        Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
-    features : int
-        Must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
+    `n_rows`, `n_cols`: size of the raster; 1 ... 2^31 each, at most 2^50 samples.
+    `block`: cells per side of a block; a power of two, 32 ... 1024.
+    `border_rings`: 1 or 3.
+    `method`: one of `names.METHODS`.
+    `dtype`: data type of the source and of `read`, one of `DTYPE_CODES`.
+    `effort`: effort of the encoder, 0 ... 9.
+    `quantum`: height of one quantum, raw units; > 0.
+    `base`: added to every quantum number. ``(abs(base) + 2**31) * quantum.numerator < 2**63``.
+    `step`: quantizer width in quanta; odd.
+    `z_min`, `z_max`: smallest and largest valid height of the originals, in quanta, within ±2^30; 0
+        and -1 if there is no valid sample.
+    `max_error`, `effective_bound`, `rho`: requested bound, effective bound, and its share lost to
+        rounding; raw units.
+    `mesh`: the triangulation of every block, one of `names.MESHES`.
+    `mesh_tolerance`: its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
+    `features`: must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
         `HAS_CORRECTIONS`, `HAS_DIGESTS`.
-    metadata : dict
-        The JSON metadata (`container.metadata`).
-    file_tables : bytes
-        Tables of the method for the whole file (FORMAT.md §4.3); opaque here, at most 64 KiB.
+    `metadata`: the JSON metadata (`container.metadata`).
+    `file_tables`: tables of the method for the whole file (FORMAT.md §4.3); opaque here, at most 64
+        KiB.
     """
 
     n_rows: int

@@ -9,13 +9,10 @@ from terrainwave.container.reader import Container
 class Parts:
     """Bytes of each part of a file; their sum is the file.
 
-    Parameters
-    ----------
-    metadata, tables, index, meshes, digests : int
-        The header with the metadata; the method's parameters; all index pages; stored meshes;
-        digests of heights.
-    heights : tuple of int
-        Payloads of each level, the coarsest first; one number if a payload spans several levels.
+    `metadata`, `tables`, `index`, `meshes`, `digests`: the header with the metadata; the method's
+        parameters; all index pages; stored meshes; digests of heights.
+    `heights`: payloads of each level, the coarsest first; one number if a payload spans several
+        levels.
     """
 
     metadata: int

@@ -55,19 +55,11 @@ class Container:
     can; a context manager. Raises `TerrainwaveError` if the header, the metadata or the top page
     cannot be read.
 
-    Parameters
-    ----------
-    source : ByteSource
-        The bytes; closed by `close`.
-    cached_segments : int
-        Number of index pages to cache (about 50 kB each).
-    may_be_cut : bool
-        Also open a file that ends too early: missing parts count as damaged.
+    `source`: the bytes; closed by `close`.
+    `cached_segments`: number of index pages to cache (about 50 kB each).
+    `may_be_cut`: also open a file that ends too early: missing parts count as damaged.
 
-    Attributes
-    ----------
-    n_missing : int
-        Bytes missing from such a file; else 0.
+    `n_missing`: bytes missing from such a file; else 0.
 
     Notes
     -----

@@ -13,14 +13,9 @@ from terrainwave.grid.quadtree import Block
 class Segment:
     """Index page of a segment with the positions of its payloads, meshes and children.
 
-    Parameters
-    ----------
-    sections_start : int
-        Start of its payloads and meshes, which are contiguous.
-    page_starts, child_starts : sequence of int
-        Starts of its children's pages and bodies.
-    end : int
-        End of its payloads and meshes.
+    `sections_start`: start of its payloads and meshes, which are contiguous.
+    `page_starts`, `child_starts`: starts of its children's pages and bodies.
+    `end`: end of its payloads and meshes.
     """
 
     head: Block | None

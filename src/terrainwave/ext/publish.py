@@ -80,23 +80,15 @@ def publish_site(
     `CorruptStreamError` if a file is not a .twz file. Raises `StorageError` if something cannot be
     read or written.
 
-    Parameters
-    ----------
-    paths : list of str
-        Paths or URLs of .twz files; they are copied.
-    directory : path
-        Gets index.html, the page's and the reader's modules, the files and terrains.json; it
-        appears complete or not at all.
-    radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-    encoding : {"mapbox", "terrarium"}
-        Encoding of the page's terrain-RGB tiles; a warning names each file with heights outside its
-        range.
-    sea_level : {"auto", "none"} or float
-        Height in metres below which the page's colours show water, or none; by default 0 if there
-        are heights below -450 m.
-    overwrite : bool
-        Replace an existing folder of this kind.
+    `paths`: paths or URLs of .twz files; they are copied.
+    `directory`: gets index.html, the page's and the reader's modules, the files and terrains.json;
+        it appears complete or not at all.
+    `radius`: radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    `encoding` ({"mapbox", "terrarium"}): encoding of the page's terrain-RGB tiles; a warning names
+        each file with heights outside its range.
+    `sea_level` ({"auto", "none"} or float): height in metres below which the page's colours show
+        water, or none; by default 0 if there are heights below -450 m.
+    `overwrite`: replace an existing folder of this kind.
     """
     tiling.encoding_of(encoding)
     SEA_LEVEL.checked("sea_level", sea_level)
@@ -119,12 +111,8 @@ def write_site(
     on it or named by a URL, and compares them with their original GeoTIFFs. Raises `StorageError`
     if something cannot be read or written.
 
-    Parameters
-    ----------
-    directory : path
-        As in `publish_site`.
-    overwrite : bool
-        Replace an existing folder of this kind.
+    `directory`: as in `publish_site`.
+    `overwrite`: replace an existing folder of this kind.
 
     Returns
     -------

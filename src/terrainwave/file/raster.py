@@ -25,12 +25,8 @@ def raster_source(source: Any, **options: Any) -> RasterSource:
 class TerrainBackend(RasterBackend):
     """A .twz file as a backend that reads decoded heights (`raster_io.backend`).
 
-    Parameters
-    ----------
-    source : path, URL or TerrainFile
-        An open file is not closed.
-    georeference : bool
-        False leaves out transform and CRS.
+    `source`: an open file is not closed.
+    `georeference`: False leaves out transform and CRS.
     """
 
     def __init__(self, source: Any, *, georeference: bool = True) -> None:

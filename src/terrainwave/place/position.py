@@ -63,23 +63,14 @@ def _direction(east: float, north: float) -> str:
 class Place:
     """Position of coordinates on a body.
 
-    Parameters
-    ----------
-    kind : str
-        Of `description`: x and y are plain longitudes and latitudes (``geographic``), those of a
-        ``derived`` system, or lengths.
-    unit : float
-        Degrees or metres per unit of x and y.
-    ellipsoid : Ellipsoid
-        Of the CRS, or a sphere chosen by the user.
-    body : str
-        One of `bodies`' names.
-    directions : ((east, north), (east, north))
-        Of steps along x and along y.
-    system : System, optional
-        None without a CRS.
-    has_own_radius : bool
-        The user chose a radius: degrees stay unchanged.
+    `kind`: of `description`: x and y are plain longitudes and latitudes (``geographic``), those of
+        a ``derived`` system, or lengths.
+    `unit`: degrees or metres per unit of x and y.
+    `ellipsoid`: of the CRS, or a sphere chosen by the user.
+    `body`: one of `bodies`' names.
+    `directions`: of steps along x and along y.
+    `system`: None without a CRS.
+    `has_own_radius`: the user chose a radius: degrees stay unchanged.
     """
 
     kind: str
@@ -234,16 +225,10 @@ def place_of(
 ) -> Place:
     """Return the position of coordinates by their CRS; without one, guess and warn.
 
-    Parameters
-    ----------
-    bounds : (left, bottom, right, top)
-        Range of the coordinates, used if there is no CRS.
-    is_placed : bool
-        False for an array without georeference, whose columns and rows are not degrees.
-    radius : float, optional
-        Radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
-    has_frames : bool
-        True if the caller also has an argument `frame`, which the warning then names.
+    `bounds`: range of the coordinates, used if there is no CRS.
+    `is_placed`: False for an array without georeference, whose columns and rows are not degrees.
+    `radius`: radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
+    `has_frames`: True if the caller also has an argument `frame`, which the warning then names.
     """
     if radius is not None:
         radius = checked_number("radius", radius, above=0, expected="metres > 0")

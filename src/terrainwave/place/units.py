@@ -174,12 +174,8 @@ def in_metres(
 class Meeting(NamedTuple):
     """Consequence of combining heights of two sources; both fields are empty if it has none.
 
-    Parameters
-    ----------
-    problem : str
-        Why they cannot be combined, and what to do: raise.
-    note : str
-        Assumption for the user.
+    `problem`: why they cannot be combined, and what to do: raise.
+    `note`: assumption for the user.
     """
 
     problem: str = ""

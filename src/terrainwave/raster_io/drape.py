@@ -76,12 +76,10 @@ _ROWS_AT_ONCE = 256
 class Drape(NamedTuple):
     """Picture over a part of a grid.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 4)
-        Red, green, blue, alpha; the first row lies along the grid's first row.
-    col, row, n_cols, n_rows : float
-        Covered area in pixels of the full grid, corners counted from 0.
+    `pixels` (ndarray of uint8, shape (height, width, 4)): red, green, blue, alpha; the first row
+        lies along the grid's first row.
+    `col`, `row`, `n_cols`, `n_rows`: covered area in pixels of the full grid, corners counted from
+        0.
     """
 
     pixels: NDArray[np.uint8]
@@ -98,21 +96,14 @@ class Photo:
     of the matching zoom. Raises `InvalidHeightsError` if it is not such an image, has no
     georeference, or does not overlap the grid. Raises `StorageError` if it cannot be read.
 
-    Parameters
-    ----------
-    path : str
-        A file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x 256
-        pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands are grey or red, green,
+    `path`: a file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x
+        256 pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands are grey or red, green,
         blue, with or without alpha, or a palette; 8 bits.
-    crs : str, optional
-        CRS of the grid, as `parse_crs` reads it.
-    affine : tuple of float
-        a, b, c, d, e, f of the grid: x = a col + b row + c.
-    shape : tuple of int
-        Rows and columns of the grid.
-    plain_on : Footprint, optional
-        Area, in the grid's CRS, that a picture without georeference covers. Without it such a
-        picture is refused.
+    `crs`: CRS of the grid, as `parse_crs` reads it.
+    `affine`: a, b, c, d, e, f of the grid: x = a col + b row + c.
+    `shape`: rows and columns of the grid.
+    `plain_on`: area, in the grid's CRS, that a picture without georeference covers. Without it such
+        a picture is refused.
     """
 
     def __init__(
@@ -205,12 +196,8 @@ class Photo:
     def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
         """Return a part of the grid.
 
-        Parameters
-        ----------
-        place : tuple of float
-            Column, row, columns and rows, in pixels of the full grid.
-        size : tuple of int
-            Width and height in texels.
+        `place`: column, row, columns and rows, in pixels of the full grid.
+        `size`: width and height in texels.
         """
         col, row, n_cols, n_rows = place
         width, height = size
@@ -274,18 +261,12 @@ def texture_of(
 ) -> tuple[bytes, str]:
     """Return a picture of an area for a mesh's file; the upper left corner is first.
 
-    Parameters
-    ----------
-    path : str
-        As for `Photo`. A warning names a photo with more than 8192 pixels per side over the area.
-    crs : str, optional
-        CRS of the area.
-    area : tuple of float
-        Left, bottom, right, top.
-    plain_on : Footprint, optional
-        Area that a picture without georeference covers; by default `area`.
-    color : tuple of int
-        Red, green, blue where the photo is transparent, void or missing.
+    `path`: as for `Photo`. A warning names a photo with more than 8192 pixels per side over the
+        area.
+    `crs`: CRS of the area.
+    `area`: left, bottom, right, top.
+    `plain_on`: area that a picture without georeference covers; by default `area`.
+    `color`: red, green, blue where the photo is transparent, void or missing.
 
     Returns
     -------

@@ -220,11 +220,8 @@ class _Source(NamedTuple):
 class VrtSources:
     """The sources of a VRT's band.
 
-    Parameters
-    ----------
-    value_of : callable
-        Returns the stored value of all samples of a region of a band of a file, as the type of the
-        VRT's band; None where only reading tells.
+    `value_of`: returns the stored value of all samples of a region of a band of a file, as the type
+        of the VRT's band; None where only reading tells.
     """
 
     def __init__(

@@ -152,16 +152,10 @@ class MosaicBackend(RasterBackend):
     their metadata in depths and heights, or their pixels don't lie on one grid; the message names
     the raster and says what to do. Raises `StorageError` if one cannot be opened.
 
-    Parameters
-    ----------
-    sources : sequence
-        Arguments of `open_member`.
-    open_member : callable
-        Opens one of them.
-    nodata : NodataChoice
-        Adds to the nodata value of each, or replaces it.
-    heights_are : str, optional
-        Meaning of all numbers; overrides the metadata.
+    `sources`: arguments of `open_member`.
+    `open_member`: opens one of them.
+    `nodata`: adds to the nodata value of each, or replaces it.
+    `heights_are`: meaning of all numbers; overrides the metadata.
 
     Notes
     -----
@@ -472,11 +466,7 @@ def _check_kind(first: _Description, other: _Description) -> None:
 def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None:
     """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii.
 
-    Parameters
-    ----------
-    found : iterable of (name, Told)
-        By their metadata, else by their numbers.
-    crs_text : str, optional
+    `found`: by their metadata, else by their numbers.
     """
     pairs = list(found)
     for pair in pairs:

@@ -35,40 +35,26 @@ Tags = tuple[tuple[str, str], ...]
 class RasterInfo:
     """Metadata of a raster.
 
-    Attributes
-    ----------
-    n_rows, n_cols : int
-        Size of the grid; >= 1.
-    dtype : str
-        numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
-    nodata : int, float or None
-        The declared nodata value: int for integer types, float (NaN and infinities allowed) for
-        float types, or None.
-    crs : str or None
-        ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
+    `n_rows`, `n_cols`: size of the grid; >= 1.
+    `dtype`: numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
+    `nodata`: the declared nodata value: int for integer types, float (NaN and infinities allowed)
+        for float types, or None.
+    `crs`: ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
         gives the same system back, else 1).
-    coordinate_epoch : float or None
-        Epoch of coordinates in a dynamic CRS, as a year such as 2020.5.
-    transform : tuple of 6 float
-        Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
-    units : str or None
-        Unit of the stored heights as the band names it.
-    scale, offset : float
-        Physical height = ``scale * stored + offset``.
-    area_or_point : str or None
-        ``"Area"`` or ``"Point"`` if the file states it.
-    description : str or None
-        Description of the band.
-    tags, band_tags : tuple of (name, value)
-        Other metadata of the file and its band, sorted by name: source, licence, and so on.
-    color_interpretation : str or None
-        GDAL's name of the band's colour, unless it is plain ``"gray"``.
-    mask_kind : str
-        Representation of voids: ``"none"`` (no voids), ``"nodata"`` (a number), ``"nan"``, or
-        ``"mask"`` (a mask band or alpha, perhaps with a nodata value).
-    heights_are : str or None
-        Meaning of the stored numbers, one of `place.meaning.KINDS`; None: heights, or depths if the
-        CRS's vertical axis points down.
+    `coordinate_epoch`: epoch of coordinates in a dynamic CRS, as a year such as 2020.5.
+    `transform`: affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col +
+        e*row + f``.
+    `units`: unit of the stored heights as the band names it.
+    `scale`, `offset`: physical height = ``scale * stored + offset``.
+    `area_or_point`: ``"Area"`` or ``"Point"`` if the file states it.
+    `description`: description of the band.
+    `tags`, `band_tags`: other metadata of the file and its band, sorted by name: source, licence,
+        and so on.
+    `color_interpretation`: GDAL's name of the band's colour, unless it is plain ``"gray"``.
+    `mask_kind`: representation of voids: ``"none"`` (no voids), ``"nodata"`` (a number), ``"nan"``,
+        or ``"mask"`` (a mask band or alpha, perhaps with a nodata value).
+    `heights_are`: meaning of the stored numbers, one of `place.meaning.KINDS`; None: heights, or
+        depths if the CRS's vertical axis points down.
     """
 
     n_rows: int
@@ -125,12 +111,8 @@ class RasterInfo:
     ) -> tuple[str | None, Told, str | None]:
         """Return the file's side of `kind_problem`.
 
-        Parameters
-        ----------
-        low, high : float, optional
-            Ends of the file's range, in physical units; None without heights.
-        is_asked : bool
-            The meaning of the other numbers was asked for: tags and numbers do not count.
+        `low`, `high`: ends of the file's range, in physical units; None without heights.
+        `is_asked`: the meaning of the other numbers was asked for: tags and numbers do not count.
         """
         told = Told(self.heights_are)
         if not is_asked and low is not None and high is not None:

@@ -88,52 +88,32 @@ class RasterSource:
     2-D or empty, or `nodata` does not fit the type; or if a .twz file is given. Raises
     `StorageError` if the file is missing or not a raster.
 
-    Parameters
-    ----------
-    source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
-        The raster. A list is a mosaic: rasters of one grid; where they overlap, the last one
+    `source` (path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset):
+        the raster. A list is a mosaic: rasters of one grid; where they overlap, the last one
         counts. A dataset of rasterio is not closed; those of xarray may be lazy. With
         `open_terrain` also .twz files, by their paths or open.
-    band : int
-        Number of the band, from 1. A note says if other bands exist and none was chosen.
-    nodata : int, float or str, optional
-        A value that marks voids, besides the values that the raster declares; ``"only:V"`` uses V
-        instead of these, ``"none"`` no value at all.
-    georeference : bool
-        False ignores the source's transform and CRS.
-    heights_are : {"height", "depth", "radius"}, optional
-        Meaning of the numbers; overrides the metadata.
-    warn : bool
-        Issue `notes` as warnings; off in tasks that open the same raster again.
-    open_terrain : callable, optional
-        Opens a .twz file as a raster (`file.raster`); without it they are refused.
+    `band`: number of the band, from 1. A note says if other bands exist and none was chosen.
+    `nodata`: a value that marks voids, besides the values that the raster declares; ``"only:V"``
+        uses V instead of these, ``"none"`` no value at all.
+    `georeference`: False ignores the source's transform and CRS.
+    `heights_are` ({"height", "depth", "radius"}, optional): meaning of the numbers; overrides the
+        metadata.
+    `warn`: issue `notes` as warnings; off in tasks that open the same raster again.
+    `open_terrain`: opens a .twz file as a raster (`file.raster`); without it they are refused.
 
-    Attributes
-    ----------
-    info : RasterInfo
-        All metadata.
-    name : str
-        Name of the source in messages.
-    notes : tuple of str
-        Notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`, except
-        its asides.
-    n_bytes_read : int
-        Bytes of heights read so far.
-    told : Told or None
-        Meaning of the numbers by the metadata; None for plain arrays.
-    is_asked : bool
-        `heights_are` was given.
-    is_file : bool
-        Windows are decoded from a file.
-    earlier : EarlierLoss or None
-        The earlier loss of heights from .twz files, the largest of several.
-    came_from : str or None
-        The .twz file that an array names as its source.
-    undeclared_values : tuple of (int or float)
-        Values that sources declare void, but `nodata` does not.
-    is_striped : bool
-        True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
-        times cheaper than small windows.
+    `info`: all metadata.
+    `name`: name of the source in messages.
+    `notes`: notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`,
+        except its asides.
+    `n_bytes_read`: bytes of heights read so far.
+    `told`: meaning of the numbers by the metadata; None for plain arrays.
+    `is_asked`: `heights_are` was given.
+    `is_file`: windows are decoded from a file.
+    `earlier`: the earlier loss of heights from .twz files, the largest of several.
+    `came_from`: the .twz file that an array names as its source.
+    `undeclared_values`: values that sources declare void, but `nodata` does not.
+    `is_striped`: True if narrow windows decode much wider ones: a scan in the order of `blocks` is
+        then many times cheaper than small windows.
 
     Notes
     -----
@@ -254,10 +234,7 @@ class RasterSource:
         rasters of a mosaic if some may have radii and others not. Raises `InvalidHeightsError` if
         only some rasters of a mosaic have radii.
 
-        Parameters
-        ----------
-        minimum, maximum : float
-            Extremes of all valid heights, as stored.
+        `minimum`, `maximum`: extremes of all valid heights, as stored.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
@@ -283,10 +260,7 @@ class RasterSource:
         Reads on while all values may be radii. Raises `InvalidHeightsError` if only some rasters of
         a mosaic have radii.
 
-        Parameters
-        ----------
-        crs_text : str, optional
-            The CRS of a raster that has none.
+        `crs_text`: the CRS of a raster that has none.
         """
         crs_text = self.info.crs or crs_text
         if not self.is_asked:

@@ -28,18 +28,11 @@ class Spool:
     In the file, a tile of whole numbers with a small range takes one or two bytes per sample, as
     distances from the lowest, if it was written as a whole.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    dtype : dtype
-        Element type.
-    directory : Path
-        Directory of the temporary file, if one is needed; it is deleted by `close`.
-    origin : tuple of int
-        Row and column of the first sample: regions are counted as those of a larger array.
-    path : Path, optional
-        The file to use instead; it may exist already and is not deleted.
+    `shape`: rows and columns.
+    `dtype`: element type.
+    `directory`: directory of the temporary file, if one is needed; it is deleted by `close`.
+    `origin`: row and column of the first sample: regions are counted as those of a larger array.
+    `path`: the file to use instead; it may exist already and is not deleted.
     """
 
     def __init__(

@@ -57,10 +57,7 @@ def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[
     Reads the raster again only if an extreme is close to a common marker of voids. Several such
     values may lie next to each other.
 
-    Parameters
-    ----------
-    minimum, maximum : float
-        Extremes of all valid heights, as stored.
+    `minimum`, `maximum`: extremes of all valid heights, as stored.
     """
     ends = dict.fromkeys((minimum, maximum))
     for end in ends:
@@ -92,10 +89,7 @@ def note_on_undeclared(
 
     Reads the raster again only if such a value can be among its heights.
 
-    Parameters
-    ----------
-    minimum, maximum : float
-        Extremes of all valid heights, as stored.
+    `minimum`, `maximum`: extremes of all valid heights, as stored.
     """
     dtype = np.dtype(source.info.dtype)
     values = source.undeclared_values

@@ -32,15 +32,9 @@ def area_problems(
 ) -> tuple[list[str], float]:
     """Return the problems of a `Mesh`, and the largest distance of samples from it.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    mesh : Mesh
-        Of `region`, which is one of the full grid.
-    max_error : float, optional
-        The requested error; None for the stored meshes.
-    read : callable, optional
-        Returns raw originals and validity of a region. Without it errors are measured from the
+    `mesh`: of `region`, which is one of the full grid.
+    `max_error`: the requested error; None for the stored meshes.
+    `read`: returns raw originals and validity of a region. Without it errors are measured from the
         decoded heights, and may exceed the stated ones by the file's own bound.
     """
     ruler, problems, worst = QuantaScale(terrain), [], 0

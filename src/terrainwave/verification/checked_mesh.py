@@ -21,14 +21,11 @@ _MAX_PRODUCT = 1 << 61
 class CheckedMesh(NamedTuple):
     """A mesh to check.
 
-    Parameters
-    ----------
-    rows, cols : ndarray of int64 or float64, shape (n_vertices,)
-        In half samples of the grid used for the check.
-    heights : ndarray of int64 or float64, shape (n_vertices,)
-        In 1/16 quanta.
-    triangles : ndarray of int, shape (n_triangles, 3)
-        Clockwise with columns to the right and rows downwards.
+    `rows`, `cols` (ndarray of int64 or float64, shape (n_vertices,)): in half samples of the grid
+        used for the check.
+    `heights` (ndarray of int64 or float64, shape (n_vertices,)): in 1/16 quanta.
+    `triangles` (ndarray of int, shape (n_triangles, 3)): clockwise with columns to the right and
+        rows downwards.
     """
 
     rows: NDArray[Any]
@@ -74,14 +71,9 @@ def deviation(
 
     Exact, rounded up, if `CheckedMesh.is_exact`; otherwise it may be up to 2^-8 too small.
 
-    Parameters
-    ----------
-    samples : ndarray of int64, shape (n_rows, n_cols)
-        Heights in 1/16 quanta.
-    limit : float
-        Samples further away than this are counted.
-    place : tuple of int
-        Row and column of the first sample.
+    `samples` (ndarray of int64, shape (n_rows, n_cols)): heights in 1/16 quanta.
+    `limit`: samples further away than this are counted.
+    `place`: row and column of the first sample.
     """
     kind = np.int64 if surface.is_exact else np.float64
     loss = 0 if surface.is_exact else _FLOAT_LOSS

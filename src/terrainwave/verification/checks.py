@@ -36,14 +36,9 @@ def problems_of(
 ) -> Iterator[str]:
     """Check that a surface is a height field over its area; yield problems.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Numbers of rows and columns of samples under the surface.
-    expected : ndarray of uint8, optional
-        Exact cover of each quad.
-    at_least : ndarray of uint8, optional
-        Least cover of each quad.
+    `shape`: numbers of rows and columns of samples under the surface.
+    `expected` (ndarray of uint8, optional): exact cover of each quad.
+    `at_least` (ndarray of uint8, optional): least cover of each quad.
     """
     rows, cols, triangles = surface.rows, surface.cols, surface.triangles
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(rows)):

@@ -114,11 +114,7 @@ class Checks:
 class MeshVerification:
     """The checks of one file's meshes.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    read : callable, optional
-        Returns raw originals and validity of a region of the full grid; without it errors are
+    `read`: returns raw originals and validity of a region of the full grid; without it errors are
         measured from the decoded heights, and may exceed the stated ones by the file's own bound.
     """
 

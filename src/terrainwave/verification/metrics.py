@@ -11,18 +11,12 @@ import numpy as np
 class ErrorReport:
     """Errors over all samples that are valid in both rasters.
 
-    Attributes
-    ----------
-    n_valid : int
-        Number of compared samples.
-    max_error : float
-        Largest absolute difference, in the units given to `ErrorSum`; 0 if nothing was compared.
-    rmse : float
-        Root of the mean squared difference; 0 if nothing was compared.
-    worst_row, worst_col : int or None
-        The first sample with the largest difference; None if all are equal.
-    n_mask_differences : int
-        Samples that are valid in one raster and void in the other.
+    `n_valid`: number of compared samples.
+    `max_error`: largest absolute difference, in the units given to `ErrorSum`; 0 if nothing was
+        compared.
+    `rmse`: root of the mean squared difference; 0 if nothing was compared.
+    `worst_row`, `worst_col`: the first sample with the largest difference; None if all are equal.
+    `n_mask_differences`: samples that are valid in one raster and void in the other.
     """
 
     n_valid: int

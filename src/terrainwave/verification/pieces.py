@@ -18,10 +18,7 @@ def coverage(
 ) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
     """Measure the cover of each quad, and the number of positions covered twice.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        Numbers of rows and columns of samples; the first sample lies at (0, 0).
+    `shape`: numbers of rows and columns of samples; the first sample lies at (0, 0).
 
     Returns
     -------
@@ -103,10 +100,7 @@ def _coverage(rows, cols, triangles, tolerance, pieces):
 def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Return the cover of a mesh of all samples: quads of four valid samples, triangles of three.
 
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        Valid samples.
+    `mask` (ndarray of bool, shape (n_rows, n_cols)): valid samples.
 
     Returns
     -------

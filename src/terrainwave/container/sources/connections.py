@@ -106,12 +106,8 @@ class Connections:
         `OSError` or `http.client.HTTPException`: errors below urllib3. Raises `ProxyStatus` if the
         proxy refuses the connection to the server. Raises `TooSlow` if `most_seconds` have passed.
 
-        Parameters
-        ----------
-        timeout : float
-            Seconds without a byte.
-        most_seconds : float
-            Seconds for the whole reply: a server may send single bytes forever.
+        `timeout`: seconds without a byte.
+        `most_seconds`: seconds for the whole reply: a server may send single bytes forever.
         """
         with self._turns, _Watch(most_seconds) as watch:
             self._here.watch = watch

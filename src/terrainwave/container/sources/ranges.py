@@ -47,12 +47,8 @@ class Budget(NamedTuple):
 def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
     """Return the remaining budget for a round of a read.
 
-    Parameters
-    ----------
-    n_wanted : int
-        Bytes wanted in the whole read, including earlier and later rounds.
-    n_requests, n_wasted : int
-        Requests made and unwanted bytes fetched in earlier rounds.
+    `n_wanted`: bytes wanted in the whole read, including earlier and later rounds.
+    `n_requests`, `n_wasted`: requests made and unwanted bytes fetched in earlier rounds.
     """
     waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
     most_waste = max(_MOST_FREE_WASTE, int(_MOST_WASTE * n_wanted))
@@ -109,10 +105,7 @@ class RoundReader:
 
     Earlier rounds give the positions of later ranges. All bytes fetched stay.
 
-    Parameters
-    ----------
-    start : bytes
-        Beginning of the source, as far as it is known.
+    `start`: beginning of the source, as far as it is known.
     """
 
     def __init__(self, source: _Source, start: bytes = b"") -> None:

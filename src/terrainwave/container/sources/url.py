@@ -197,11 +197,8 @@ class HttpSource(_UrlSource):
     Opening is one request, for the first 16 KiB. Retries and error messages are those of the
     JavaScript reader: docs/how-to/remote.md.
 
-    Parameters
-    ----------
-    version : tuple of (str or None), optional
-        The ETag and the Last-Modified that every reply must carry; by default those of the first
-        reply.
+    `version`: the ETag and the Last-Modified that every reply must carry; by default those of the
+        first reply.
     """
 
     def __init__(self, url: str, version: _Version = _Version()) -> None:  # noqa: B008  immutable
@@ -487,10 +484,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
 class FsspecSource(_UrlSource):
     """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
 
-    Parameters
-    ----------
-    version : str, optional
-        Required version according to the file system; by default the current one.
+    `version`: required version according to the file system; by default the current one.
     """
 
     # File systems raise errors of their libraries, most of which are not OSErrors.

@@ -58,12 +58,8 @@ class MemberSource(ByteSource):
 class CutFile(MemberSource):
     """The bytes of a truncated file, followed by zeros, for which no checksum holds.
 
-    Parameters
-    ----------
-    source : ByteSource
-        The existing bytes; closed by `close`.
-    size : int
-        Bytes of the whole file.
+    `source`: the existing bytes; closed by `close`.
+    `size`: bytes of the whole file.
     """
 
     def __init__(self, source: ByteSource, size: int) -> None:

@@ -56,19 +56,11 @@ class Kept:
 
     Raises `StorageError` if the directory cannot be used.
 
-    Parameters
-    ----------
-    directory : Path, optional
-        An existing directory that nobody else uses; None keeps nothing.
-    run : dict
-        Everything that the work depends on, as plain values for JSON.
+    `directory`: an existing directory that nobody else uses; None keeps nothing.
+    `run`: everything that the work depends on, as plain values for JSON.
 
-    Attributes
-    ----------
-    other : dict or None
-        The `run` of other work that was found in the directory, and removed.
-    n_found : int
-        Number of records of an earlier run.
+    `other`: the `run` of other work that was found in the directory, and removed.
+    `n_found`: number of records of an earlier run.
     """
 
     def __init__(self, directory: Path | None = None, run: dict[str, Any] | None = None) -> None:
@@ -288,15 +280,10 @@ def kept_directory(
     be the only writer of `target` (`unfinished.only_writer`). Raises `StorageError` if the
     directory cannot be used, or belongs to another user.
 
-    Parameters
-    ----------
-    target : Path
-        Absolute path.
-    run : dict, optional
-        Everything that the work depends on (`Kept`); None keeps nothing, uses a directory of
+    `target`: absolute path.
+    `run`: everything that the work depends on (`Kept`); None keeps nothing, uses a directory of
         another name, and removes existing work.
-    fresh : bool
-        Discard the work of an earlier run.
+    `fresh`: discard the work of an earlier run.
     """
     path = own_path(target, Path(parent), KEPT_SUFFIX)
     if fresh or run is None:

@@ -55,14 +55,9 @@ def publish(
     is false, is not a regular file, or its directory is missing or not writable. After it: if the
     disk is full, the target cannot be replaced, or one of GDAL's files cannot be removed.
 
-    Parameters
-    ----------
-    target : path
-        A symbolic link is followed.
-    overwrite : bool
-        Replace an existing file, keeping its permissions.
-    is_update : bool
-        The file is a new state of the existing raster, so GDAL's files stay.
+    `target`: a symbolic link is followed.
+    `overwrite`: replace an existing file, keeping its permissions.
+    `is_update`: the file is a new state of the existing raster, so GDAL's files stay.
 
     Yields
     ------
@@ -133,13 +128,9 @@ def refuse_own_source(
 
     Replacing it would destroy the original.
 
-    Parameters
-    ----------
-    source : object
-        A path, or an open object with a path as `name`, or a list of these; others have no file.
-    target : path
-    problem : str
-        The message's statement about `target`.
+    `source`: a path, or an open object with a path as `name`, or a list of these; others have no
+        file.
+    `problem`: the message's statement about `target`.
     """
     if isinstance(source, list | tuple):
         for one in source:
@@ -223,13 +214,8 @@ def publish_directory(
     block: if the target exists and may not be replaced, or its parent is missing or not writable.
     After it: if the target cannot be replaced.
 
-    Parameters
-    ----------
-    target : path
-    marker : str
-        Name of a file in every such directory: others are never replaced.
-    overwrite : bool
-        Replace an existing directory with `marker`; an empty one is always replaced.
+    `marker`: name of a file in every such directory: others are never replaced.
+    `overwrite`: replace an existing directory with `marker`; an empty one is always replaced.
     """
     check_flags(overwrite=overwrite)
     check_local(target)

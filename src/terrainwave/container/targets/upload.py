@@ -38,14 +38,9 @@ def uploaded(
     After it: if it cannot be uploaded; the finished file then stays on this machine, and the
     message names it.
 
-    Parameters
-    ----------
-    url : str
-        A URL that fsspec can write to.
-    overwrite : bool
-        Replace an existing file.
-    temp_dir : path, optional
-        Directory of the local file; by default the system's directory for temporary files.
+    `url`: a URL that fsspec can write to.
+    `overwrite`: replace an existing file.
+    `temp_dir`: directory of the local file; by default the system's directory for temporary files.
     """
     check_flags(overwrite=overwrite)
     name = display_name(url)

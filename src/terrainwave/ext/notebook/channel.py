@@ -44,12 +44,8 @@ Answering = Callable[[Question], Answer]
 class Channel:
     """Answers the requests of one widget's views.
 
-    Parameters
-    ----------
-    send : callable
-        Takes a message and its buffers; called from several threads.
-    in_threads, at_once : dict
-        Handlers by kind of request, run in threads or before `take` returns.
+    `send`: takes a message and its buffers; called from several threads.
+    `in_threads`, `at_once`: handlers by kind of request, run in threads or before `take` returns.
     """
 
     def __init__(

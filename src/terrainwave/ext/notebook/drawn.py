@@ -23,10 +23,7 @@ def region_of_box(globe: Globe, box: Any) -> Region:
     In a raster around the whole globe, a box across its first column is reduced to its larger part.
     Raises `InvalidArgumentError` if it is not a box, or does not overlap the raster.
 
-    Parameters
-    ----------
-    box : (west, south, east, north)
-        Degrees; east may be beyond 180.
+    `box`: degrees; east may be beyond 180.
     """
     west, south, east, north = checked_numbers("box", box, "west, south, east, north")
     if not (west <= east <= west + 360 and -90 <= south <= north <= 90):

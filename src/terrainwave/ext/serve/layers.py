@@ -124,10 +124,7 @@ def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[s
 class Shelf:
     """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time.
 
-    Parameters
-    ----------
-    rasters : iterable of Raster
-        Those of the start.
+    `rasters`: those of the start.
     """
 
     def __init__(self, rasters: Iterable[Raster]) -> None:

@@ -73,12 +73,8 @@ class Proxied:
     -Host and -Prefix; those of all other clients are ignored. If a header has several values, the
     last one counts: the trusted proxy wrote it.
 
-    Parameters
-    ----------
-    app : ASGIApp
-        It checks the host again.
-    proxies : iterable of Network
-        Trusted besides this machine.
+    `app`: it checks the host again.
+    `proxies`: trusted besides this machine.
     """
 
     def __init__(self, app: ASGIApp, proxies: Iterable[Network] = ()) -> None:

@@ -31,10 +31,7 @@ class Desk:
 
     A context manager that ends the threads.
 
-    Parameters
-    ----------
-    n_decoding : int
-        Threads that do it at once.
+    `n_decoding`: threads that do it at once.
     """
 
     def __init__(self, n_decoding: int) -> None:
@@ -72,10 +69,7 @@ class Desk:
 class Ahead:
     """Has bytes made before they are asked for, where a client reads on; for one resource.
 
-    Parameters
-    ----------
-    read : callable
-        Makes bytes from a place on, and keeps what it made them of.
+    `read`: makes bytes from a place on, and keeps what it made them of.
     """
 
     def __init__(self, read: Read) -> None:

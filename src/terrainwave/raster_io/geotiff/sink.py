@@ -124,20 +124,12 @@ class RasterSink:
     Raises `StorageError` if the target exists, its directory cannot be written, or the disk cannot
     hold it.
 
-    Parameters
-    ----------
-    path : path
-        The target; an existing one is refused without `overwrite`.
-    info : RasterInfo
-        Size, type and metadata of the file.
-    cog : bool
-        Make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
-    overwrite : bool
-        Replace an existing file.
-    n_threads : int
-        Threads that GDAL compresses with.
-    stated : mapping of str, optional
-        Items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
+    `path`: the target; an existing one is refused without `overwrite`.
+    `info`: size, type and metadata of the file.
+    `cog`: make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
+    `overwrite`: replace an existing file.
+    `n_threads`: threads that GDAL compresses with.
+    `stated`: items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
 
     Notes
     -----

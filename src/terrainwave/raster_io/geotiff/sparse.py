@@ -81,12 +81,8 @@ def sparse_geotiff(
 
     Raises `LimitExceededError` if the head would be longer than some 100 MB.
 
-    Parameters
-    ----------
-    n_overviews : int
-        Overviews of half, a quarter, … of the size.
-    stated : mapping of str
-        Items of the band's metadata, in `DOMAIN`. Overviews do not have them.
+    `n_overviews`: overviews of half, a quarter, … of the size.
+    `stated`: items of the band's metadata, in `DOMAIN`. Overviews do not have them.
     """
     tile = _tile_side(info)
     # Overviews and mask add less than half.
