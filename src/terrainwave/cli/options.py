@@ -25,34 +25,24 @@ def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(incomplete, type="file")]
 
 
-class _Path(click.ParamType):
-    """Name that the shell completes."""
+class Name(click.ParamType):
+    """Name of a file or folder for any purpose, which the shell completes."""
 
+    name = "path"
     completes = "file"
 
     def shell_complete(self, _: Any, __: Any, incomplete: str) -> list[CompletionItem]:
         return [CompletionItem(incomplete, type=self.completes)]
 
-    def named(self, value: Any, param: Any, ctx: Any) -> str:
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
         try:
             return checked_path(value)
         except InvalidArgumentError as error:
             self.fail(str(error), param, ctx)
 
 
-class Name(_Path):
-    """Name of a file or folder for any purpose."""
-
-    name = "path"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        return self.named(value, param, ctx)
-
-
-class Target(_Path):
+class Target(Name):
     """Output file with one of some endings; - is stdout where allowed."""
-
-    name = "path"
 
     def __init__(
         self, endings: Sequence[str], *, or_stdout: bool = True, or_url: bool = False
@@ -62,7 +52,7 @@ class Target(_Path):
         self._or_url = or_url
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        path = self.named(value, param, ctx)
+        path = super().convert(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
         more = ""
@@ -76,7 +66,7 @@ class Target(_Path):
         return path
 
 
-class Directory(_Path):
+class Directory(Name):
     """Output directory; names of archives and streams are refused, as are empty ones."""
 
     name = "directory"
@@ -87,8 +77,7 @@ class Directory(_Path):
         self._or_ending = or_ending
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name; also of a file if its ending is allowed."""
-        path = self.named(value, param, ctx)
+        path = super().convert(value, param, ctx)
         ending = os.path.splitext(path)[1].lower()
         if ending == self._or_ending:
             return path
@@ -99,18 +88,15 @@ class Directory(_Path):
         return path
 
 
-class Input(_Path):
+class Input(Name):
     """Input file; - is stdin, which is copied to a temporary file until the command ends.
 
     Readers seek, which a stream cannot.
     """
 
-    name = "path"
-
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the path of the file or of the copy."""
         if value != STREAM or ctx is None or ctx.resilient_parsing:
-            return self.named(value, param, ctx)
+            return super().convert(value, param, ctx)
         return read_stream(ctx)
 
 
@@ -120,7 +106,7 @@ class NamedInput(Input):
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         if value == STREAM:
             self.fail("found -, expected a file name: this command cannot use streams", param, ctx)
-        return self.named(value, param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class OfKind(click.ParamType):
@@ -143,9 +129,9 @@ class _Range(OfKind, click.FloatRange):
     """A number whose limits the help shows."""
 
     def __init__(self, kind: Kind) -> None:
-        limits = kind.limits
-        least = limits.get("least", limits.get("above"))
-        click.FloatRange.__init__(self, least, limits.get("most"), min_open="above" in limits)
+        least = kind.limits.get("least", kind.limits.get("above"))
+        is_open = "above" in kind.limits
+        click.FloatRange.__init__(self, least, kind.limits.get("most"), min_open=is_open)
         self._kind = kind
 
 

@@ -305,17 +305,13 @@ class Bar:
         if progress.n_bytes_in and progress.n_bytes_out:
             ratio = f"{progress.n_bytes_in / progress.n_bytes_out:.1f}:1"
         if progress.n_units_total:
-            units = (
-                f"{progress.n_units}/{progress.n_units_total} groups, {progress.n_levels} levels"
-            )
+            groups = f"{progress.n_units}/{progress.n_units_total} groups"
+            units = f"{groups}, {progress.n_levels} levels"
         elif progress.n_tasks_total:
             units = f"{progress.n_tasks:,}/{progress.n_tasks_total:,} tasks"
+        sample_bytes = progress.n_bytes_in / max(progress.done, 1)
         self._bar.update(
-            self._task,
-            completed=progress.done,
-            ratio=ratio,
-            units=units,
-            sample_bytes=progress.n_bytes_in / progress.done if progress.done else 0.0,
+            self._task, completed=progress.done, ratio=ratio, units=units, sample_bytes=sample_bytes
         )
 
     def echo(self, line: str) -> None:
@@ -362,14 +358,11 @@ def _rich_bar() -> Any:
     )
 
 
+@functools.cache
 def announce_compiling(*, quiet: bool = False) -> None:
     """Explain the seconds of a machine's first run, as soon as something is compiled."""
-    if not quiet:
-        _announce_once()
-
-
-@functools.cache
-def _announce_once() -> None:
+    if quiet:
+        return
     from terrainwave.coding.jit import on_first_compilation
     from terrainwave.coding.kernel_places import KernelPlace
 
@@ -386,28 +379,31 @@ def _announce_once() -> None:
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for name, value in rows:
-        table.add_row(Text(name, style="bold"), Text(plain(value)))
-    Console(highlight=False).print(table)
+    _print(table, [[Text(name, style="bold"), Text(plain(value))] for name, value in rows])
 
 
 def print_grid(header: list[str], rows: list[list[str]]) -> None:
-    from rich.console import Console
+    """Print a table of numbers with a header."""
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in header:
         table.add_column(Text(name), justify="right", no_wrap=True)
+    _print(table, [[Text(plain(cell)) for cell in row] for row in rows])
+
+
+def _print(table: Any, rows: list[list[Any]]) -> None:
+    from rich.console import Console
+
     for row in rows:
-        table.add_row(*(Text(plain(cell)) for cell in row))
+        table.add_row(*row)
     Console(highlight=False).print(table)
 
 
@@ -425,11 +421,7 @@ def print_json_line(fields: dict[str, Any]) -> None:
 
 
 def _in_options(fields: dict[str, Any]) -> Any:
-    told = {
-        name: [in_options(sentence) for sentence in value]
-        for name, value in fields.items()
-        if name in _SENTENCES and value
-    }
+    told = {name: [*map(in_options, fields[name])] for name in _SENTENCES if fields.get(name)}
     return plain_json(fields | told)
 
 

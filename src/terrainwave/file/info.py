@@ -7,7 +7,7 @@ import numpy as np
 
 from terrainwave.file.described import DescribedFile
 from terrainwave.names import EFFORTS
-from terrainwave.raster_io.earlier_loss import earlier_files
+from terrainwave.raster_io.raster_info import earlier_files
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,8 @@ from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
 from terrainwave.raster_io.backend import RasterBackend
-from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.even import Even
-from terrainwave.raster_io.raster_info import stored_nodata
+from terrainwave.raster_io.raster_info import EarlierFile, EarlierLoss, earlier_files, stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
 

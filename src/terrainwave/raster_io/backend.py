@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
-from terrainwave.raster_io.raster_info import stored_nodata
+from terrainwave.raster_io.raster_info import EarlierLoss, stored_nodata
 
 
 class RasterBackend:

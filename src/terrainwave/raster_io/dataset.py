@@ -37,8 +37,7 @@ from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.raster_info import undeclared_by
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
-from terrainwave.raster_io.vrt.copied import Unreported, unreported
-from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
+from terrainwave.raster_io.vrt import Unreported, is_warped, remark_on_windows, unreported
 
 # Tags that GDAL derives rather than stores, and positions, which have a note of their own.
 _DERIVED_TAGS = (

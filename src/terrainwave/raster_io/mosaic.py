@@ -21,10 +21,14 @@ from terrainwave.place.meaning import RADIUS, Told
 from terrainwave.place.position import longitude_turn
 from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, Layers, composed, samples_in
 from terrainwave.raster_io.gdal import scan_windows
-from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
+from terrainwave.raster_io.raster_info import (
+    SUPPORTED_DTYPES,
+    EarlierLoss,
+    fit_nodata,
+    stored_nodata,
+)
 from terrainwave.raster_io.tags import common_tags
 
 # Largest difference of grids in pixels: tiles give their corners with about ten digits.

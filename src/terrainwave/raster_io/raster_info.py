@@ -1,15 +1,16 @@
 """Metadata of a raster: size, type, nodata, position, units."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import NodataChoice, crs_name
+from terrainwave.container.metadata import EARLIER
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.names import ABOVE, BOTH
@@ -299,3 +300,35 @@ def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:
     if dtype.kind == "f" and math.isfinite(nodata) and not np.isfinite(value):
         return np.copysign(np.finfo(dtype).max, value)
     return value
+
+
+class EarlierFile(NamedTuple):
+    """A file that heights went through, and its bound from their original, in physical units."""
+
+    file: str
+    max_error: float
+
+
+class EarlierLoss(NamedTuple):
+    """Largest distance of heights from their original, in physical units, and the files between.
+
+    `max_error` is the last file's bound. Lossless files are not listed.
+    """
+
+    max_error: float
+    files: tuple[EarlierFile, ...] = ()
+
+
+NO_LOSS = EarlierLoss(0.0)
+
+
+def earlier_files(metadata: Mapping[str, object]) -> tuple[EarlierFile, ...]:
+    found = metadata.get(EARLIER)
+    files = found if isinstance(found, list) else []
+    return tuple(
+        EarlierFile(file["file"], float(file["max_error"]))
+        for file in files
+        if isinstance(file, dict)
+        and isinstance(file.get("file"), str)
+        and isinstance(file.get("max_error"), int | float)
+    )

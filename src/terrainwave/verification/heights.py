@@ -42,7 +42,7 @@ from terrainwave.place.meaning import check_kind
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.dataset import opened
 from terrainwave.raster_io.even import Even, even_parts
-from terrainwave.raster_io.vrt.warped import remark_on_windows
+from terrainwave.raster_io.vrt import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 from terrainwave.verification.original import Original, place_text
 from terrainwave.verification.raster_metadata import (

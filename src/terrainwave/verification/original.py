@@ -25,7 +25,7 @@ from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_pro
 from terrainwave.raster_io.dataset import DatasetBackend, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
 from terrainwave.raster_io.mosaic import ORIENTATIONS, Orientation
-from terrainwave.raster_io.vrt.copied import unreported
+from terrainwave.raster_io.vrt import unreported
 
 # Samples per window, and its height if the original is striped: with windows of few rows the
 # decoder would decode the same blocks again and again.

@@ -17,7 +17,7 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish, remove_of_gdal
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.tags import is_statistic
-from terrainwave.raster_io.vrt.copied import unreported
+from terrainwave.raster_io.vrt import unreported
 
 SIDECAR = ".aux.xml"
 # Elements of a band that hold statistics.

@@ -25,7 +25,6 @@ from terrainwave.grid.affine import (
 )
 from terrainwave.place.crs import crs_of_grid_mapping, format_crs, parse_crs
 from terrainwave.place.description import describe_quietly
-from terrainwave.raster_io.labelled.packing import numbers_of
 from terrainwave.raster_io.labelled.signs import (
     NO_PLACE,
     coords_along,
@@ -34,6 +33,7 @@ from terrainwave.raster_io.labelled.signs import (
     places_of,
     title,
 )
+from terrainwave.raster_io.labelled.values import numbers_of
 
 # Metres per unit of projected coordinates; an angle has none.
 _METRES = (
