@@ -6,7 +6,7 @@ size, metadata, index pages and positions of their segments, checksums of payloa
 
 import logging
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -125,37 +125,33 @@ class Container:
         return self.segments([head])[head]
 
     def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
-        """Return the indices of several segments; missing pages of a level take one `read_many`."""
-        indices: dict[Block | None, Segment] = {}
-        missing: list[Block] = []
-        for head in heads:
-            segment = self._top if head is None else self._segments.get(head)
-            if segment is not None:
-                indices[head] = segment
-            elif head is not None:
-                missing.append(head)
-        if missing:
-            indices.update(self._load(list(dict.fromkeys(missing))))
-        return indices
-
-    def _load(self, heads: Sequence[Block]) -> dict[Block | None, Segment]:
-        parent_heads = [self._parent_head(head) for head in heads]
-        known = self.segments(list(dict.fromkeys(parent_heads)))
-        parents = [known[parent_head] for parent_head in parent_heads]
-        ranges = [parent.page_range(head) for head, parent in zip(heads, parents, strict=True)]
-        loaded: dict[Block | None, Segment] = {}
+        """Return the indices of several segments; missing pages of a level take one request."""
         with self._blaming_change():
-            for head, parent, data in zip(
-                heads, parents, self.source.read_many(ranges), strict=True
-            ):
-                loaded[head] = self._unpack_segment(head, parent, data)
-        self._keep(loaded)
-        return loaded
+            known = self._located(heads, self.rounds(), lambda _: ())
+        return {head: known[head] for head in heads}
 
-    def _keep(self, loaded: Mapping[Block | None, Segment]) -> None:
-        for head, segment in loaded.items():
-            if head is not None:
+    def _located(
+        self,
+        heads: Iterable[Block | None],
+        reader: RoundReader,
+        wanted: Callable[[Mapping[Block | None, Segment]], Iterable[ByteRange]],
+    ) -> dict[Block | None, Segment]:
+        """Return the indices of segments and of those above them.
+
+        Each missing level takes one round, in which `reader` also fetches what is `wanted` by the
+        indices that are known by then.
+        """
+        known = self._known_segments(heads)
+        while missing := self._next_segments(heads, known):
+            places = {head: parent.page_range(head) for head, parent in missing.items()}
+            here = {head: place for head, place in places.items() if reader.has(place)}
+            if not here:  # otherwise they may locate more to fetch
+                reader.fetch([*places.values(), *wanted(known)])
+            for head, place in (here or places).items():
+                segment = self._unpack_segment(head, missing[head], reader.take(place))
                 self._segments.put(head, segment)
+                known[head] = segment
+        return known
 
     @contextmanager
     def _blaming_change(self) -> Iterator[None]:
@@ -230,20 +226,11 @@ class Container:
         are chosen for all rounds together (`container.sources.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
-        known = self._known_segments(heads.values())
         reader = self.rounds()
         with self._blaming_change():
-            while missing := self._next_segments(heads.values(), known):
-                places = {head: parent.page_range(head) for head, parent in missing.items()}
-                here = {head: place for head, place in places.items() if reader.has(place)}
-                if not here:  # otherwise they may locate more to fetch
-                    reader.fetch([*places.values(), *_payload_places(heads, known).values()])
-                loaded: dict[Block | None, Segment] = {
-                    head: self._unpack_segment(head, missing[head], reader.take(place))
-                    for head, place in (here or places).items()
-                }
-                self._keep(loaded)
-                known.update(loaded)
+            known = self._located(
+                heads.values(), reader, lambda known: _payload_places(heads, known).values()
+            )
             of_payloads = _payload_places(heads, known)
             reader.fetch(of_payloads.values())
             payloads = {key: reader.take(place) for key, place in of_payloads.items()}
@@ -316,12 +303,10 @@ class Container:
         return self.segment(head).codes(block)
 
     def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
-        heads = [self._head_of(key) for key in keys]
-        segments = self.segments(heads)
-        return [
-            (segments[head], segments[head].layout.key_rows[key])
-            for key, head in zip(keys, heads, strict=True)
-        ]
+        heads = {key: self._head_of(key) for key in keys}
+        segments = self.segments([*heads.values()])
+        found = ((segments[heads[key]], key) for key in keys)
+        return [(segment, segment.layout.key_rows[key]) for segment, key in found]
 
     # Digests
 
@@ -372,7 +357,7 @@ class Container:
                         continue
                 byte_pos = start + length
                 try:
-                    segment = self._load([child])[child]
+                    segment = self.segment(child)
                 except TerrainwaveError as error:
                     yield str(error)
                     continue

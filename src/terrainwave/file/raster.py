@@ -53,19 +53,10 @@ class TerrainBackend(RasterBackend):
         self.earlier = EarlierLoss(bound, files)
 
     def tags(self) -> dict[str, Any]:
-        info = self._info
-        return {
-            "crs": info.crs if self._is_placed else None,
-            "coordinate_epoch": info.coordinate_epoch if self._is_placed else None,
-            "units": info.units,
-            "scale": info.scale,
-            "offset": info.offset,
-            "area_or_point": info.area_or_point,
-            "description": info.description,
-            "color_interpretation": info.color_interpretation,
-            "tags": info.tags,
-            "band_tags": info.band_tags,
-        }
+        names = ("units", "scale", "offset", "area_or_point", "description", "color_interpretation")
+        fields = {name: getattr(self._info, name) for name in (*names, "tags", "band_tags")}
+        placed = {name: getattr(self._info, name) for name in ("crs", "coordinate_epoch")}
+        return fields | (placed if self._is_placed else dict.fromkeys(placed))
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int

@@ -30,6 +30,7 @@ SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
 
 Tags = tuple[tuple[str, str], ...]
+_TEXTS = ("crs", "units", "area_or_point", "description", "color_interpretation")
 
 
 @dataclass(frozen=True)
@@ -177,25 +178,22 @@ class RasterInfo:
                 if problem:
                     raise ValueError(problem)
             heights_are = fields.get("heights_are")
+            texts = {name: _optional_text(fields.get(name)) for name in _TEXTS}
             return cls(
                 n_rows=_positive(fields["n_rows"]),
                 n_cols=_positive(fields["n_cols"]),
                 dtype=dtype,
                 nodata=nodata,
-                crs=_optional_text(fields.get("crs")),
                 transform=transform,
-                units=_optional_text(fields.get("units")),
                 scale=_finite(fields.get("scale", 1.0)),
                 offset=_finite(fields.get("offset", 0.0)),
-                area_or_point=_optional_text(fields.get("area_or_point")),
-                description=_optional_text(fields.get("description")),
                 mask_kind=mask_kind,
                 tags=_tags(fields.get("tags")),
                 band_tags=_tags(fields.get("band_tags")),
-                color_interpretation=_optional_text(fields.get("color_interpretation")),
                 # Readers ignore unknown words (FORMAT.md §4.2).
                 heights_are=heights_are if heights_are in KINDS else None,
                 coordinate_epoch=_year(fields.get("coordinate_epoch")),
+                **texts,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CorruptStreamError(f"the raster's metadata are damaged: {error!r}") from error
