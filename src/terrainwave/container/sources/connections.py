@@ -35,19 +35,11 @@ _TUNNEL = re.compile(r"Tunnel connection failed: (\d{3})")
 
 
 class ProxyStatus(Exception):
-    """The proxy, not the server, returned this status."""
-
-    def __init__(self, status: int) -> None:
-        super().__init__(status)
-        self.status = status
+    """The proxy, not the server, returned the status that is its argument."""
 
 
 class TooSlow(Exception):
-    """A reply took longer than allowed."""
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__(seconds)
-        self.seconds = seconds
+    """A reply took longer than the seconds that are its argument."""
 
 
 class _Watch:

@@ -374,10 +374,10 @@ class HttpSource(_UrlSource):
         except TooSlow as error:
             raise SourceUnavailableError(
                 f"cannot read {self.name}: the server has not sent {count_of(n_bytes, 'byte')} in"
-                f" {error.seconds:,.0f} s; try again later"
+                f" {error.args[0]:,.0f} s; try again later"
             ) from error
         except ProxyStatus as error:
-            reply = _Reply(url.geturl(), error.status, {}, proxy=proxy_of(url) or "?")
+            reply = _Reply(url.geturl(), error.args[0], {}, proxy=proxy_of(url) or "?")
         if reply.status == 407 and not reply.proxy:
             return reply._replace(proxy=proxy_of(url) or "")
         return reply

@@ -154,25 +154,22 @@ class Kept:
     def clear(self) -> None:
         if self.directory is None:
             return
+        self.close()
         with self._lock, storage_errors(f"cannot use {self.directory}"):
-            self._close()
             self._remove_all(self.directory)
             self._open(self.directory)
 
     def close(self) -> None:
         with self._lock:
-            self._close()
+            if self._file is not None:
+                self._file.close()
+            self._file, self._records = None, {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-        self._file, self._records = None, {}
 
     def _open(self, directory: Path) -> None:
         path = directory / _JOURNAL

@@ -11,7 +11,6 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -81,7 +80,7 @@ def taken(path: Path) -> Iterator[BinaryIO | None]:
         yield None
         return
     with file:
-        is_ours = _try_lock(file) is _Lock.TAKEN and _is_still_there(path, file)
+        is_ours = _try_lock(file) is True and _is_still_there(path, file)
         yield file if is_ours else None
 
 
@@ -99,7 +98,7 @@ def create_locked(final: Path, suffix: str, created: list[Path], action: str) ->
             file = _opened(path, flags, "w+b", final)
         try:
             # Another run may have removed it as a leftover before it was locked.
-            if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
+            if _try_lock(file) is not False and _is_still_there(path, file):
                 return Part(path, file)
         except BaseException:
             file.close()
@@ -123,7 +122,7 @@ def only_writer(target: Path, beside: Path, shown: str) -> Iterator[None]:
     while file is None:
         with storage_errors(f"cannot write {shown}"):
             file = _opened(path, os.O_RDWR | os.O_CREAT | _PLAIN, "r+b", path)
-        if _try_lock(file) is _Lock.HELD_BY_OTHER:
+        if _try_lock(file) is False:
             number = file.read(_LONGEST_NAME).decode(errors="replace").strip()
             file.close()
             raise StorageError(
@@ -156,30 +155,27 @@ def _is_still_there(path: Path, file: BinaryIO) -> bool:
         return False
 
 
-class _Lock(Enum):
-    TAKEN = 0
-    HELD_BY_OTHER = 1
-    NOT_POSSIBLE = 2  # no such call, or a file system without locks
+def _try_lock(file: BinaryIO) -> bool | None:
+    """Take the lock on `file` without waiting; False if another process holds it.
 
-
-def _try_lock(file: BinaryIO) -> _Lock:
-    """Try to take the lock on `file` without waiting."""
+    None if that is not possible: no such call, or a file system without locks.
+    """
     try:
         if fcntl is not None:
             fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return _Lock.TAKEN
+            return True
         if msvcrt is not None:
             file.seek(_LOCKED_BYTE)
             try:
                 msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
             finally:
                 file.seek(0)
-            return _Lock.TAKEN
+            return True
     except (BlockingIOError, PermissionError):
-        return _Lock.HELD_BY_OTHER
+        return False
     except OSError:
         pass
-    return _Lock.NOT_POSSIBLE
+    return None
 
 
 def dispose(part: Part | None, paths: list[Path]) -> None:
