@@ -121,10 +121,7 @@ def plan(
 def with_files_of_folders(
     sources: Sequence[str], endings: Sequence[str], directory: str | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield named files and those in named folders, each with its relative folder.
-
-    In folders, files that end in one of `endings`, except those below `directory`.
-    """
+    """Yield files, and those in folders with one of `endings`, each with its relative folder."""
     for source in sources:
         checked_path(source)
         if not os.path.isdir(source) or source.lower().endswith(_FOLDERS_THAT_ARE_RASTERS):

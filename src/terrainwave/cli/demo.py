@@ -24,10 +24,8 @@ def run_demo(
 ) -> tuple[str, list[list[str]]]:
     """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
 
-    Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
-    an earlier run; a failed run leaves nothing. Returns the raster in words, and a row below
-    `HEADER` for each bound. Raises `BoundViolationError` if a decoded height is outside its bound.
-    Raises `TerrainwaveError` if matplotlib is missing.
+    Replaces the raster, a .twz per bound and ``demo.png`` in `directory`, or leaves nothing.
+    Returns the raster in words, and a row below `HEADER` for each bound.
     """
     folder = Path(directory)
     heights, info = _load_heights()

@@ -119,10 +119,7 @@ def discard_stdout() -> None:
 
 @contextmanager
 def without_lines_of_libtiff() -> Iterator[None]:
-    """Drop what libtiff prints on stderr in the block; what other libraries print comes after it.
-
-    Python's own stderr is as it was. ``TERRAINWAVE_TRACEBACK=1`` shows all lines.
-    """
+    """Drop libtiff's lines on stderr in the block; those of other libraries come after it."""
     ours = sys.stderr
     try:
         is_real = ours.fileno() == 2

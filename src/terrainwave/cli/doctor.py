@@ -23,18 +23,7 @@ _OLDEST = (3, 6)
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of the check.
-
-    `terrainwave`: version of this package.
-    `native`: path of the native library; None if it is missing or not used.
-    `native_advice`: why it is not used; empty if it is.
-    `command`: path of GDAL's command; None if it is not on the PATH.
-    `gdal`: version of GDAL.
-    `reads_twz`: this GDAL has the driver.
-    `advice`: steps to take, a sentence each; empty if none.
-    `rasterio`: version of GDAL in this Python's rasterio.
-    `rasterio_reads_twz`: that GDAL has the driver.
-    """
+    """Paths and versions that were found, reasons why not, and steps to take."""
 
     terrainwave: str
     native: str | None

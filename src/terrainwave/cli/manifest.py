@@ -28,10 +28,8 @@ Compare = Callable[[str, str, str, ProgressCallback], str | None]
 class Manifest:
     """Targets in a directory, and their sources.
 
-    `asked`: the command and its options, as values for JSON.
-    `files_of`: returns the files that a source is read from; an empty list if they are unknown.
-    `compare`: compares existing targets that the manifest does not confirm.
-    `skips`: skip targets that are up to date; otherwise only record targets.
+    `compare` is for existing targets that the manifest does not confirm. Without `skips`, targets
+    are only recorded.
     """
 
     def __init__(

@@ -89,10 +89,7 @@ class Directory(Name):
 
 
 class Input(Name):
-    """Input file; - is stdin, which is copied to a temporary file until the command ends.
-
-    Readers seek, which a stream cannot.
-    """
+    """Input file; - is stdin, copied to a temporary file, as readers seek."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         if value != STREAM or ctx is None or ctx.resilient_parsing:
@@ -138,11 +135,7 @@ class _Range(OfKind, click.FloatRange):
 def declared(
     options: type[OptionSet], first: str | None = None, last: str | None = None
 ) -> Callable[[Any], Any]:
-    """Return a decorator that gives a command the options of a class, as its fields declare them.
-
-    `options`: fields without help are not for commands.
-    `first`, `last`: the first and the last field to take; by default those of the class.
-    """
+    """Return a decorator that gives a command options of a class, from `first` to `last`."""
     names = options.names()
     start = 0 if first is None else names.index(first)
     stop = None if last is None else names.index(last) + 1

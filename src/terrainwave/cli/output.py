@@ -182,20 +182,14 @@ class Commands(click.Group):
     """click group whose errors are one line each and which sets the exit status."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command as the process's only work, unless a program passes its own arguments.
-
-        Such a program continues afterwards and handles its signals itself.
-        """
+        """Run a command as the process's only work, unless a program passes its own arguments."""
         is_process = not args and kwargs.get("args") is None
         return self.main(*args, is_process=is_process, **kwargs)
 
     def main(
         self, *args: Any, standalone_mode: bool = True, is_process: bool = False, **kwargs: Any
     ) -> Any:
-        """Run a command; never returns in standalone mode.
-
-        With `is_process`, signals after the command's end are ignored: the process ends.
-        """
+        """Run a command; with `is_process`, signals after its end are ignored."""
         run: Any = super().main
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
@@ -237,11 +231,7 @@ class Commands(click.Group):
 
 
 def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block or --window") -> str:
-    """Return an error as one line, whichever library raised it.
-
-    `advice` says what to try if memory is short. With ``TERRAINWAVE_TRACEBACK=1`` the traceback of
-    an unexpected error is printed first.
-    """
+    """Return an error as one line; `advice` says what to try if memory is short."""
     if isinstance(error, TerrainwaveError):
         return message_of(error)
     if isinstance(error, MemoryError):

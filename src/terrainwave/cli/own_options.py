@@ -28,13 +28,10 @@ def own_option(help: str) -> Callable[[Any], Any]:
 
 
 def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
-    """Return a command's options with those of -o merged in.
+    """Return a command's options with those of -o (`own`) merged in.
 
     Raises `click.UsageError` or `InvalidArgumentError` if neither the method nor the kind of meshes
     has the option, or the value is invalid.
-
-    `own`: values of -o.
-    `options`: has `mesh`, and `method` and `effort` if the command has these.
     """
     words = _words(own)
     in_use = _sets_of({"mesh": DEFAULT_MESH} | options)

@@ -37,10 +37,7 @@ def _stdin_file() -> Iterator[Path]:
 
 @contextmanager
 def written(target: str, ending: str) -> Iterator[str]:
-    """Yield the path to write for `target`: its own, or a temporary file that is copied to stdout.
-
-    Nothing goes to stdout if the block raises.
-    """
+    """Yield the path to write for `target`; nothing goes to stdout if the block raises."""
     if target != STREAM:
         yield target
         return

@@ -37,10 +37,7 @@ _METRES = 30.0
 
 
 def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
-    """Run small jobs of some kinds, by default all; return the skipped ones with reasons.
-
-    `tasks`: of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
-    """
+    """Run small jobs of some `TASKS`, by default all; return the skipped ones with reasons."""
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
     from terrainwave.coding.kernel_places import kept
@@ -106,10 +103,7 @@ def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
 
 
 def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
-    """Return heights like those of a GeoTIFF of the Earth; sums of int32 need 64 bits.
-
-    Whole numbers are multiples of `quantum`.
-    """
+    """Return heights like a GeoTIFF's of the Earth; whole numbers are multiples of `quantum`."""
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
     heights = heights * (1e6 if dtype == "int32" else 1)

@@ -41,17 +41,13 @@ Result = TypeVar("Result")
 class Depot:
     """A directory that all machines of a run see: a path, or a URL that fsspec can write to.
 
-    Entries appear whole or not at all, so a task can run again after its machine was lost, or twice
-    at a time.
+    Entries appear whole or not at all, so a task can run again, or twice at a time.
     """
 
     root: str
 
     def put(self, name: str, data: bytes) -> None:
-        """Store bytes under a name.
-
-        Raises `StorageError` if they cannot be written.
-        """
+        """Store bytes under a name; raise `StorageError` if they cannot be written."""
         data += zlib.crc32(data).to_bytes(_CRC_BYTES, "little")
         where = display_name(self._path(name))
         filesystem, root = _filesystem(self.root)
@@ -67,11 +63,7 @@ class Depot:
         _repeated(f"writing {where}", put)
 
     def get(self, name: str) -> bytes:
-        """Return the bytes under a name.
-
-        Raises `StorageError` if the entry does not exist. Raises `CorruptStreamError` if it is
-        damaged.
-        """
+        """Return an entry; raise `StorageError` if missing, `CorruptStreamError` if damaged."""
         data = self._read(name, 0, None)
         end = max(len(data) - _CRC_BYTES, 0)
         if zlib.crc32(data[:end]) != int.from_bytes(data[end:], "little"):
@@ -104,10 +96,7 @@ class Depot:
             return dict(arrays)
 
     def remove(self, names: Iterable[str] = ()) -> None:
-        """Delete everything in the depot: `names`, and all entries that it lists.
-
-        Raises `StorageError` if something cannot be deleted.
-        """
+        """Delete `names` and all entries that the depot lists, or raise `StorageError`."""
         with filesystem_errors(f"cannot remove temporary data in {display_name(self.root)}"):
             filesystem, path = _filesystem(self.root)
             if "file" not in filesystem.protocol:

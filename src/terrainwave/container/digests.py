@@ -39,11 +39,7 @@ def tile_digests(
 ) -> dict[Place, bytes]:
     """Return the digests of the tiles of a window that have valid samples.
 
-    `region`: the window, in samples of the full grid. It begins at a tile and ends with one, or at
-        the raster's edge.
-    `raw` (ndarray of the raster's dtype, shape (n_rows, n_cols)): decoded heights; undefined in
-        voids.
-    `valid` (ndarray of bool, shape (n_rows, n_cols)).
+    The window begins at a tile and ends with one, or at the raster's edge. Voids may hold anything.
     """
     found = {}
     for row in range(0, region.n_rows, TILE):
@@ -90,11 +86,7 @@ class TileDigests:
 
 
 class DigestTree:
-    """The tree above the leaves of a raster, which are nodes of 4096 x 4096 samples.
-
-    `shape`: rows and columns of the raster.
-    `leaves`: digests of the leaves that have valid samples.
-    """
+    """The tree above the leaves of a raster: the nodes of 4096 x 4096 samples with valid ones."""
 
     def __init__(self, shape: tuple[int, int], leaves: Nodes) -> None:
         self.shape = shape
@@ -169,10 +161,7 @@ assert SMALLEST_DIGESTS == len(VOID) + TAIL_LENGTH
 
 
 def _counts(shape: tuple[int, int], height: int) -> tuple[int, int]:
-    """Return rows and columns of the children of nodes of `height` + 1: tiles at height 0.
-
-    The nodes of height 1 are leaves.
-    """
+    """Return rows and columns of the children of nodes of `height` + 1 (1: leaves; 0: tiles)."""
     side = TILE * FAN**height
     return -(-shape[0] // side), -(-shape[1] // side)
 

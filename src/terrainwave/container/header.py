@@ -166,21 +166,14 @@ class Header:
 
     @property
     def quanta_error(self) -> float:
-        """Return the bound of quantised heights, without remainders, in raw units.
-
-        It applies to meshes, which do not use remainders; otherwise it is the effective bound.
-        """
+        """Return the bound of quantised heights, used in meshes, in raw units."""
         if self.has_remainders:
             return self.quantizer.quanta_error + self._moved_error
         return self.effective_bound
 
     @property
     def effective_error(self) -> float:
-        """Return the effective bound, in raw units.
-
-        With remainders, heights equal those of the raster, and its own earlier loss remains, which
-        `effective_bound` does not include.
-        """
+        """Return the effective bound with the earlier loss of exact heights, in raw units."""
         return self.effective_bound + (self._moved_error if self.has_remainders else 0.0)
 
     @property
@@ -287,10 +280,7 @@ def _kind_of(data: bytes) -> str:
 
 
 def unpack_header(data: bytes) -> tuple[Header, Extents]:
-    """Read and check the header at the start of `data` (FORMAT.md §4.1).
-
-    `metadata` and `file_tables` of the result are empty: they lie outside these bytes.
-    """
+    """Read and check a header (FORMAT.md §4.1), without metadata and tables, which follow it."""
     if not data:
         raise TruncatedStreamError("found an empty file, expected a .twz file")
     if data[: len(MAGIC)] != MAGIC[: len(data)]:

@@ -56,10 +56,9 @@ class PageLayout(_Lists):
 
 @lru_cache(maxsize=32)
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
-    """Return the keys on the page of the segment of `head` (FORMAT.md §3.3).
+    """Return the keys on the page of the segment of `head` (FORMAT.md §3.3), shared and constant.
 
-    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid. The lists are
-    shared and must not be changed.
+    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
     """
     # In one walk, as a key's blocks are the next layer's keys, or the children of the last layer.
     if head is None:
@@ -167,18 +166,14 @@ def page_length(columns: bytes) -> int:
 def pack_page(columns: bytes, first_child: int) -> bytes:
     """Return the bytes of a page from its packed columns (FORMAT.md §3.3).
 
-    `first_child` is not deflated: offsets depend on the lengths of pages, which therefore must not
-    depend on offsets.
+    `first_child` is not deflated: lengths of pages must not depend on offsets.
     """
     body = _PREFIX.pack(0, first_child)[4:] + columns
     return zlib.crc32(body).to_bytes(4, "little") + body
 
 
 def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
-    """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
-
-    Checks only the page itself, not the positions of its segments in the file.
-    """
+    """Read and check a page (FORMAT.md §3.3), but not the positions of its segments."""
     if len(data) < _MIN_PAGE:
         raise CorruptStreamError(f"{name} has only {len(data)} bytes")
     crc, first_child = _PREFIX.unpack_from(data)
@@ -249,10 +244,10 @@ def describe_key(key: Block) -> str:
 
 
 def file_order(keys: Sequence[Block]) -> list[int]:
-    """Return the rows of a page in the order of their payloads in the file (FORMAT.md §3.2).
+    """Return the rows of a segment's page in the order of their payloads (FORMAT.md §3.2).
 
-    `keys` are those of one segment. Keys of its second level are followed by their children, and
-    the fourth level is reversed: a window then needs fewer ranges.
+    Keys of the second level are followed by their children, and the fourth level is reversed: a
+    window then needs fewer ranges.
     """
     layers: list[list[int]] = [[] for _ in range(SEGMENT_LEVELS)]
     for row, key in enumerate(keys):
@@ -265,10 +260,7 @@ def file_order(keys: Sequence[Block]) -> list[int]:
 
 
 def payload_starts(page: Page, layout: PageLayout, start: int) -> Sequence[int]:
-    """Return the offset of each key's payload from that of the first in the file (FORMAT.md §3.2).
-
-    The mesh of a key follows its payload.
-    """
+    """Return the offset of each key's payload, which its mesh follows (FORMAT.md §3.2)."""
     order = layout.order
     lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
     starts = np.empty(len(order), dtype=np.int64)

@@ -9,10 +9,7 @@ from terrainwave.container.reader import Container
 class Parts:
     """Bytes of each part of a file; their sum is the file.
 
-    `metadata`, `tables`, `index`, `meshes`, `digests`: the header with the metadata; the method's
-        parameters; all index pages; stored meshes; digests of heights.
-    `heights`: payloads of each level, the coarsest first; one number if a payload spans several
-        levels.
+    `heights`: payloads of each level, the coarsest first; one number if a payload spans several.
     """
 
     metadata: int

@@ -48,23 +48,13 @@ _CHECK_BATCH = 4 * 1024 * 1024
 
 
 class Container:
-    """Open .twz file: bytes by key, no heights.
+    """Open .twz file: bytes by key, no heights. Thread-safe; a context manager.
 
     A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level -1.
-    Keys and blocks outside of the grid raise `KeyError`. Thread-safe; can be pickled if its source
-    can; a context manager. Raises `TerrainwaveError` if the header, the metadata or the top page
-    cannot be read.
-
-    `source`: the bytes; closed by `close`.
-    `cached_segments`: number of index pages to cache (about 50 kB each).
-    `may_be_cut`: also open a file that ends too early: missing parts count as damaged.
-
-    `n_missing`: bytes missing from such a file; else 0.
-
-    Notes
-    -----
-    Opening reads the first 16 KiB and, if the top page ends later, a second range: 64 KiB at most
-    for metadata up to 30 kB. Memory does not depend on the size of the raster.
+    Keys and blocks outside of the grid raise `KeyError`. With `may_be_cut` a file that ends too
+    early is opened, too: its `n_missing` bytes count as damaged. Opening reads the first 16 KiB
+    and, if the top page ends later, a second range: 64 KiB at most for metadata up to 30 kB. Memory
+    does not depend on the size of the raster, but on `cached_segments`: index pages of about 50 kB.
     """
 
     def __init__(
@@ -138,8 +128,8 @@ class Container:
     ) -> dict[Block | None, Segment]:
         """Return the indices of segments and of those above them.
 
-        Each missing level takes one round, in which `reader` also fetches what is `wanted` by the
-        indices that are known by then.
+        Each missing level takes one round, which also fetches what is `wanted` by the known
+        indices.
         """
         known = self._known_segments(heads)
         while missing := self._next_segments(heads, known):
@@ -196,10 +186,7 @@ class Container:
         raise KeyError(f"the grid has no {describe_key(key)}")
 
     def present_segments(self) -> Iterator[Segment]:
-        """Yield the index of every segment that takes bytes, parents first.
-
-        A file of some hundred bytes may claim 2^50 void samples: walk this, not the grid.
-        """
+        """Yield the index of every segment that takes bytes, parents first."""
         waiting: list[Block | None] = [None]
         while waiting:
             segment = self.segment(waiting.pop())
@@ -210,20 +197,14 @@ class Container:
     # Payloads
 
     def payload(self, key: Block) -> bytes:
-        """Return the payload of `key`.
-
-        Raises `CorruptStreamError` if its checksum or an index page on the way to it is wrong.
-        """
+        """Return the payload of `key`; raise `CorruptStreamError` for a wrong checksum."""
         return self.payloads([key])[0]
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return the payloads of `keys` in this order; near ones are read in one request.
 
-        Notes
-        -----
         Each missing level of index pages takes one round of requests, which also fetches the
-        payloads whose position is known by then; one more round fetches the rest. Gaps to bridge
-        are chosen for all rounds together (`container.sources.ranges`).
+        payloads whose position is known by then; one more round fetches the rest.
         """
         heads = {key: self._head_of(key) for key in keys}
         reader = self.rounds()
@@ -274,11 +255,7 @@ class Container:
         return [segment.payload_range(row).length for segment, row in self._rows(keys)]
 
     def payload_parts(self, parts: Sequence[tuple[Block, int, int]]) -> list[bytes]:
-        """Return bytes start … end of payloads; near ones are read in one request.
-
-        Each of `parts` is (key, start, end), inside the payload. Parts are not checked by
-        checksums.
-        """
+        """Return bytes of payloads, unchecked; each of `parts` is (key, start, end)."""
         ranges = []
         for (segment, row), (_, start, end) in zip(
             self._rows([key for key, _, _ in parts]), parts, strict=True
@@ -321,10 +298,7 @@ class Container:
         return ByteRange(size - length, length)
 
     def digests(self) -> DigestTree | None:
-        """Return the digests of the file's heights; None if it has none.
-
-        Raises `CorruptStreamError` if they are damaged.
-        """
+        """Return the digests of heights, if any; raise `CorruptStreamError` if damaged."""
         if not self.header.has_digests:
             return None
         with self._blaming_change():
@@ -334,12 +308,10 @@ class Container:
     # Check of the whole file
 
     def check(self) -> Iterator[str]:
-        """Read every byte and yield problems, one line each; nothing if the file is sound.
+        """Read every byte once and yield problems, one line each; nothing if the file is sound.
 
-        Notes
-        -----
-        One sequential pass. Nothing is checked below an unreadable page. Memory: the index pages of
-        one level; of the finest, where most are, only one.
+        Nothing is checked below an unreadable page. Memory: the index pages of one level; of the
+        finest, where most are, only one.
         """
         yield from self._check_payloads(self._top)
         byte_pos, end, layer = self._top.end, self._top.end, [self._top]

@@ -13,9 +13,8 @@ from terrainwave.grid.quadtree import Block
 class Segment:
     """Index page of a segment with the positions of its payloads, meshes and children.
 
-    `sections_start`: start of its payloads and meshes, which are contiguous.
-    `page_starts`, `child_starts`: starts of its children's pages and bodies.
-    `end`: end of its payloads and meshes.
+    Its payloads and meshes lie from `sections_start` to `end`; `page_starts` and `child_starts` are
+    those of its children's pages and bodies.
     """
 
     head: Block | None

@@ -20,10 +20,7 @@ _PLACE = struct.Struct("<QQ")  # of a section: offset and length
 
 @contextmanager
 def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
-    """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`.
-
-    If the disk is full, it ends with `advice`.
-    """
+    """Turn an `OSError` into a `StorageError`: `action`, reason, and `advice` for a full disk."""
     try:
         yield
     except OSError as error:
@@ -47,10 +44,7 @@ def naming_full_disk(action: str) -> Iterator[None]:
 def cannot_write(
     path: str | os.PathLike[str], error: BaseException | str, *, advice: str = ""
 ) -> StorageError:
-    """Return the error of a file, or of temporary files in a directory, that cannot be written.
-
-    `error` is the system's, or another library's text for one.
-    """
+    """Return the error of a file, or temporary files in a directory, that cannot be written."""
     what = f"temporary files in {path}" if os.path.isdir(path) else os.fspath(path)
     return _storage_error(f"cannot write {what}", error, advice)
 
@@ -88,11 +82,7 @@ class LikeSegment(NamedTuple):
 
 
 class SectionFile:
-    """Temporary file of payloads and meshes in any order; thread-safe.
-
-    They stay in memory up to 1 MiB, the rest goes to a file without a name in `directory`. Errors
-    of a full disk end with `advice`.
-    """
+    """Temporary file of payloads and meshes in any order, in memory up to 1 MiB; thread-safe."""
 
     def __init__(
         self, directory: str | os.PathLike[str], *, advice: str = TEMPORARY_ADVICE
@@ -149,10 +139,7 @@ def write_all(file: BinaryIO, data: bytes | bytearray) -> None:
 
 
 class StoredSegment(NamedTuple):
-    """A segment without children whose page and places of sections are in a file.
-
-    `n_bytes` are those of its sections. Of an absent one all lengths are 0.
-    """
+    """A segment without children whose page and places of sections are in a file."""
 
     file: SectionFile
     offset: int
@@ -194,10 +181,7 @@ class SegmentSpool:
         return Section(self._file.append(data), len(data), zlib.crc32(data))
 
     def chunks(self, keys: list[Block]) -> Iterator[bytes]:
-        """Yield the payload, then the mesh, of each of `keys`; one payload in memory at a time.
-
-        Raises `StorageError` if the temporary file is damaged.
-        """
+        """Yield payload and mesh of each key, or raise `StorageError` for damage."""
         for offset, length, crc in self._sections(keys):
             data = self._file.read(offset, length)
             if len(data) != length or zlib.crc32(data) != crc:

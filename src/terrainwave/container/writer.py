@@ -140,10 +140,7 @@ def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
 def append_digests(
     out_file: BinaryIO, header: Header, extents: Extents, digests: DigestTree
 ) -> None:
-    """Append the digests of its heights to a file that `assemble` wrote from its first byte on.
-
-    Raises `StorageError` if the disk is full.
-    """
+    """Append the digests of its heights to a file that `assemble` wrote from its first byte on."""
     section = digests.pack()
     header = replace(header, features=header.features | HAS_DIGESTS)
     extents = replace(extents, file_size=extents.file_size + len(section))

@@ -84,10 +84,7 @@ def _escaped(text: object) -> str:
 
 
 def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
-    """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey.
-
-    Raises `TerrainwaveError` if the heights cannot be read.
-    """
+    """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey."""
     levels = range(terrain.n_levels)
     level = next((k for k in levels if max(terrain.level_shape(k)) >= _SIDE), levels[-1])
     n_rows, n_cols = terrain.level_shape(level)

@@ -22,11 +22,7 @@ def raster_source(source: Any, **options: Any) -> RasterSource:
 
 
 class TerrainBackend(RasterBackend):
-    """A .twz file as a backend that reads decoded heights (`raster_io.backend`).
-
-    `source`: an open file is not closed.
-    `georeference`: False leaves out transform and CRS.
-    """
+    """A .twz file as a backend that reads decoded heights; an open file is not closed."""
 
     def __init__(self, source: Any, *, georeference: bool = True) -> None:
         self._owned = not isinstance(source, TerrainFile)

@@ -86,10 +86,7 @@ class Description(NamedTuple):
 
     @property
     def directions(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return (east, north) of a step along x and along y.
-
-        Around a pole, and if the system does not state it, x points right and y up, as on its map.
-        """
+        """Return (east, north) of steps along x and y; right and up if they are not stated."""
         along_x, along_y = (_HORIZONTAL.get(axis.direction) for axis in (self.x, self.y))
         if along_x is None or along_y is None or 0 == _cross(along_x, along_y):
             return (1.0, 0.0), (0.0, 1.0)
@@ -149,10 +146,7 @@ def read_projjson(told: dict[str, Any]) -> Description:
 
 
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
-    """Return the name and the compound CRS of a vertical CRS that only one of two has.
-
-    None if they differ in anything else. The second result is a text for GDAL.
-    """
+    """Return name and compound CRS, as a text for GDAL, of a vertical CRS that only one has."""
     told = [crs.to_dict(projjson=True) for crs in (one, other)]
     for compound, plain in (told, told[::-1]):
         parts = compound.get("components", [])

@@ -63,14 +63,9 @@ def _direction(east: float, north: float) -> str:
 class Place:
     """Position of coordinates on a body.
 
-    `kind`: of `description`: x and y are plain longitudes and latitudes (``geographic``), those of
-        a ``derived`` system, or lengths.
-    `unit`: degrees or metres per unit of x and y.
-    `ellipsoid`: of the CRS, or a sphere chosen by the user.
-    `body`: one of `bodies`' names.
-    `directions`: of steps along x and along y.
-    `system`: None without a CRS.
-    `has_own_radius`: the user chose a radius: degrees stay unchanged.
+    `kind` is that of `description`; `unit` degrees or metres per unit of x and y; `ellipsoid` that
+    of the CRS, or a sphere chosen by the user (`has_own_radius`: degrees stay unchanged);
+    `directions` those of steps along x and along y; `system` None without a CRS.
     """
 
     kind: str
@@ -117,7 +112,7 @@ class Place:
         return bool(self.unit == 1 and system.flat.equals(system.globe, ignore_axis_order=True))
 
     def to_lonlat(self, xy: Numbers) -> Numbers:
-        """Return longitudes and latitudes in degrees of points (n_points, 2); NaN if one has none.
+        """Return longitudes and latitudes of points in degrees, NaN if one has none.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
         """
@@ -223,12 +218,11 @@ def place_of(
     radius: float | None = None,
     has_frames: bool = False,
 ) -> Place:
-    """Return the position of coordinates by their CRS; without one, guess and warn.
+    """Return the position of coordinates by their CRS; without one, guess by `bounds` and warn.
 
-    `bounds`: range of the coordinates, used if there is no CRS.
-    `is_placed`: False for an array without georeference, whose columns and rows are not degrees.
-    `radius`: radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
-    `has_frames`: True if the caller also has an argument `frame`, which the warning then names.
+    `is_placed` is false for an array without georeference. Degrees lie on a sphere of `radius`
+    metres, if given, instead of the CRS's ellipsoid. With `has_frames` the warning names `frame`,
+    too.
     """
     if radius is not None:
         radius = checked_number("radius", radius, above=0, expected="metres > 0")

@@ -59,10 +59,7 @@ class System:
 
     @cached_property
     def globe(self) -> Any:
-        """Return pyproj's CRS of longitude and latitude in degrees on the body.
-
-        WGS 84 for the Earth, else the datum that the CRS is based on.
-        """
+        """Return pyproj's CRS of degrees on the body: WGS 84 for the Earth, else its datum."""
         pyproj = need_pyproj()
         base = None if self.known is None else self.known.geodetic_crs
         if base is None or self.known.is_geocentric:
@@ -129,10 +126,7 @@ def _made(crs_text: str) -> System:
 
 
 def _known_to_pyproj(crs_text: str) -> Any:
-    """Return pyproj's CRS of a text that GDAL can parse; None if PROJ cannot.
-
-    The text first, as GDAL's WKT drops the codes of inner parts, which PROJ uses.
-    """
+    """Return pyproj's CRS of a text, which has more codes than GDAL's WKT; None if unknown."""
     pyproj = need_pyproj()
     code = _CODE.fullmatch(crs_text)
     with contextlib.suppress(pyproj.exceptions.CRSError):

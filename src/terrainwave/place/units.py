@@ -64,10 +64,7 @@ class HeightUnit(NamedTuple):
 
     @property
     def metres(self) -> float:
-        """Return the metres per unit, negative for depths: up is positive.
-
-        An unknown name gives a warning and counts as metres.
-        """
+        """Return the metres per unit, negative for depths; a warning for an unknown name."""
         sign = -1.0 if self.is_depth else 1.0
         length = self.length
         return sign * (metres_per_unit(self.name) if length is None else length)
@@ -160,10 +157,7 @@ def kind_problem(
 def in_metres(
     ends: tuple[float, float], scale: float, offset: float, units: str | None, crs_text: str | None
 ) -> tuple[float, float]:
-    """Return the lowest and the highest stored number in metres, with their original sign.
-
-    NaN if the band's unit is not a length.
-    """
+    """Return the lowest and the highest stored number in metres; NaN if the unit is no length."""
     unit = math.nan
     if is_length(units):
         unit = abs(height_unit(units, crs_text).metres)
@@ -172,11 +166,7 @@ def in_metres(
 
 
 class Meeting(NamedTuple):
-    """Consequence of combining heights of two sources; both fields are empty if it has none.
-
-    `problem`: why they cannot be combined, and what to do: raise.
-    `note`: assumption for the user.
-    """
+    """Why heights of two sources cannot be combined, and what to do; or an assumption to note."""
 
     problem: str = ""
     note: str = ""

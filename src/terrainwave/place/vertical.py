@@ -201,10 +201,7 @@ def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
 
 
 def _best_operation(system: System, goal: Any, area: Any, told: Vertical) -> Any:
-    """Return PROJ's first operation, if all of its grids are installed.
-
-    Ballpark operations, which return the height unchanged, do not count.
-    """
+    """Return PROJ's first operation that changes heights, if all of its grids are installed."""
     pyproj = need_pyproj()
     _look_where_proj_data_says()
     with warnings.catch_warnings():

@@ -95,10 +95,7 @@ def opened(path: str) -> Any:
 
 
 def refuse_raster(target: str | os.PathLike[str]) -> None:
-    """Raise `StorageError` if a .twz would replace a raster, whatever its name.
-
-    The raster may be the only copy of years of measurements.
-    """
+    """Raise `StorageError` if a .twz would replace a raster: perhaps the only copy."""
     if not os.path.exists(target):
         return
     try:
@@ -297,10 +294,7 @@ class DatasetBackend(RasterBackend):
         return _band_names(others, dataset.descriptions)
 
     def asides(self) -> Iterator[str]:
-        """Yield notes that need no warning, one sentence each.
-
-        These concern other bands if one was chosen, and data that can be derived from the heights.
-        """
+        """Yield notes that need no warning: on other bands, and on what heights give again."""
         others = self._other_bands()
         if others and self._band != 1:
             yield f"using band {self._band}; left out: {others}"
@@ -396,10 +390,7 @@ class DatasetBackend(RasterBackend):
             ) from error
 
     def again(self) -> "DatasetBackend | None":
-        """Return the band of the same file opened again; None if the file may have changed.
-
-        Only for unchanged local GeoTIFFs without masks, which may lie in other files.
-        """
+        """Return the band opened again, of an unchanged local GeoTIFF without a mask; else None."""
         if self._stamp is None or self.has_mask:
             return None
         try:
@@ -419,8 +410,7 @@ class DatasetBackend(RasterBackend):
     def even(self, region: Region) -> Even | None:
         """Return the content of a region by the file's index; None if only reading can tell.
 
-        Not for voids by a mask, and not for datasets that the caller opened, perhaps in part or for
-        writing.
+        Not for voids by a mask, and not for datasets that the caller opened, perhaps for writing.
         """
         if self._stored is None:
             return None

@@ -76,10 +76,8 @@ _ROWS_AT_ONCE = 256
 class Drape(NamedTuple):
     """Picture over a part of a grid.
 
-    `pixels` (ndarray of uint8, shape (height, width, 4)): red, green, blue, alpha; the first row
-        lies along the grid's first row.
-    `col`, `row`, `n_cols`, `n_rows`: covered area in pixels of the full grid, corners counted from
-        0.
+    `pixels` (uint8, shape (height, width, 4)): red, green, blue, alpha; the first row lies along
+    the grid's. The area is in pixels of the full grid, corners counted from 0.
     """
 
     pixels: NDArray[np.uint8]
@@ -93,17 +91,14 @@ class Photo:
     """An open image, read in windows warped to a grid. Thread-safe; a context manager.
 
     A window reads only what it needs: parts of the file or of a sufficiently fine overview; tiles
-    of the matching zoom. Raises `InvalidHeightsError` if it is not such an image, has no
-    georeference, or does not overlap the grid. Raises `StorageError` if it cannot be read.
+    of the matching zoom. `path` is a file, or a URL: of a file that is read by ranges, such as a
+    COG, or of tiles of 256 x 256 pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands
+    are grey or red, green, blue, with or without alpha, or a palette; 8 bits. `plain_on` is the
+    area, in the grid's CRS, that a picture without georeference covers. Without it such a picture
+    is refused.
 
-    `path`: a file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x
-        256 pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands are grey or red, green,
-        blue, with or without alpha, or a palette; 8 bits.
-    `crs`: CRS of the grid, as `parse_crs` reads it.
-    `affine`: a, b, c, d, e, f of the grid: x = a col + b row + c.
-    `shape`: rows and columns of the grid.
-    `plain_on`: area, in the grid's CRS, that a picture without georeference covers. Without it such
-        a picture is refused.
+    Raises `InvalidHeightsError` if it is not such an image, has no georeference, or does not
+    overlap the grid. Raises `StorageError` if it cannot be read.
     """
 
     def __init__(
@@ -170,19 +165,14 @@ class Photo:
         return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
 
     def whole(self, max_side: int, max_bytes: int) -> Drape:
-        """Return all of the photo that lies on the grid, at its own resolution if limits allow.
-
-        `max_side` and `max_bytes` limit the picture, with four bytes per texel. From tiles it has
-        2048 texels per side at most.
-        """
+        """Return all of the photo that lies on the grid, at its own resolution if limits allow."""
         return self.part(self.place, self.size(max_side, max_bytes))
 
     def over_grid(self, max_side: int) -> tuple[Drape, tuple[int, int]]:
-        """Return a picture of the whole grid, transparent beyond the photo.
+        """Return a picture of the whole grid, transparent beyond the photo, and its own size.
 
         Its sides are powers of two, as engines need for mipmaps: the next ones above the photo's
-        own resolution along rows and columns, up to `max_side`, itself a power of two. The second
-        result is width and height at the photo's own resolution.
+        own resolution, up to `max_side`, itself a power of two.
         """
         n_rows, n_cols = self._shape
         along, down = self._finer
@@ -194,11 +184,7 @@ class Photo:
         return self.part((0.0, 0.0, n_cols, n_rows), (width, height)), own
 
     def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
-        """Return a part of the grid.
-
-        `place`: column, row, columns and rows, in pixels of the full grid.
-        `size`: width and height in texels.
-        """
+        """Return a part of the grid: column, row, columns and rows, in `size` texels."""
         col, row, n_cols, n_rows = place
         width, height = size
         a, b, _, d, e, _ = self._affine
@@ -259,21 +245,12 @@ def texture_of(
     plain_on: Footprint | None,
     color: tuple[int, int, int],
 ) -> tuple[bytes, str]:
-    """Return a picture of an area for a mesh's file; the upper left corner is first.
+    """Return a picture of an area for a mesh's file, upper left corner first, and its media type.
 
-    `path`: as for `Photo`. A warning names a photo with more than 8192 pixels per side over the
-        area.
-    `crs`: CRS of the area.
-    `area`: left, bottom, right, top.
-    `plain_on`: area that a picture without georeference covers; by default `area`.
-    `color`: red, green, blue where the photo is transparent, void or missing.
-
-    Returns
-    -------
-    data : bytes
-        A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG.
-    kind : str
-        ``image/png`` or ``image/jpeg``.
+    A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG. `color` is where
+    the photo is transparent, void or missing. A warning names a photo with more than 8192 pixels
+    per side over the area: left, bottom, right, top. A picture without georeference covers
+    `plain_on`.
     """
     left, bottom, right, top = area
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)

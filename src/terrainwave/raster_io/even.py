@@ -50,10 +50,7 @@ ReadWindow = Callable[[int, int, int, int], tuple[NDArray[Any], NDArray[np.bool_
 
 
 def even_parts(region: Region, side: int, even_of: EvenOf) -> Iterator[tuple[Region, Even | None]]:
-    """Yield a region in parts that are even, and windows of `side` samples at most of the rest.
-
-    Windows begin at the region's corner or at multiples of `side` from it.
-    """
+    """Yield a region in parts that are even, and windows of `side` samples at most of the rest."""
     if not (region.n_rows and region.n_cols):
         return
     even = even_of(region)
@@ -100,10 +97,7 @@ class Layers:
 
 
 def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable[[], Any]) -> Any:
-    """Return the value of all samples of a region; `gap` where nothing lies, None if several do.
-
-    `layers` are values, None where only reading tells, and their places; the last one counts.
-    """
+    """Return the common value of a region's layers, of which the last counts; None in doubt."""
     value, parts = None, list[Region]()
     for above, place in layers:
         part = place.intersect(region)
@@ -218,11 +212,7 @@ class _Source(NamedTuple):
 
 
 class VrtSources:
-    """The sources of a VRT's band.
-
-    `value_of`: returns the stored value of all samples of a region of a band of a file, as the type
-        of the VRT's band; None where only reading tells.
-    """
+    """The sources of a VRT's band; `value_of` returns the one value of a part of a file."""
 
     def __init__(
         self,
@@ -303,10 +293,7 @@ def stored_values(
     open_member: Callable[[str, int], Any],
     nested: int = 0,
 ) -> StoredValues | None:
-    """Return the finder of even windows of a band of a dataset opened for reading.
-
-    `open_member` opens a band of another file as a context: a raster with `dtype`, size and `even`.
-    """
+    """Return the finder of even windows of a band of a dataset; `open_member` opens others."""
     if dataset.driver == "GTiff":
         return SparseBlocks(dataset, band, read_sample)
     if dataset.driver != "VRT" or nested >= _MOST_NESTED:

@@ -9,11 +9,7 @@ from terrainwave.raster_io.dataset import is_twz, open_dataset
 
 
 def files_of(path: str) -> list[str]:
-    """Return the files that GDAL reads a raster from, sorted; empty if it names none.
-
-    For a VRT this includes the files of its sources, recursively. Raises `TerrainwaveError` if it
-    cannot be opened.
-    """
+    """Return the files that GDAL reads a raster from, those of a VRT's sources too; sorted."""
 
     def named(name: str) -> list[str]:
         try:
@@ -25,10 +21,9 @@ def files_of(path: str) -> list[str]:
 
 
 def stamps_of(src: Any) -> list[list[str | int]] | None:
-    """Return names, sizes and times of the files that rasters are read from.
+    """Return names, sizes and times of the files that rasters are read from, also by VRTs.
 
-    For VRTs these include the files of their sources. None if a source is not a local file, such as
-    an array or a URL. Raises `TerrainwaveError` if one cannot be opened.
+    None if a source is not a local file, such as an array or a URL.
     """
     names: set[str] = set()
     for source in src if isinstance(src, list | tuple) else [src]:

@@ -58,10 +58,7 @@ _WIDE = 1024
 
 
 class Orientation(NamedTuple):
-    """Orientation of a raster's rows and columns relative to another grid.
-
-    First rows and columns are exchanged, then the order of rows and of columns is reversed.
-    """
+    """Rows and columns exchanged, then their order reversed, relative to another grid."""
 
     swap: bool = False
     flip_rows: bool = False
@@ -151,20 +148,10 @@ class MosaicBackend(RasterBackend):
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
     Rows and columns are ordered as in the first raster; rasters in another order (south first,
-    turned by right angles) are turned while they are read. Raises `InvalidHeightsError` if several
-    have no georeference, or they differ in CRS, resolution, type, scale, offset or units, or by
-    their metadata in depths and heights, or their pixels don't lie on one grid; the message names
-    the raster and says what to do. Raises `StorageError` if one cannot be opened.
-
-    `sources`: arguments of `open_member`.
-    `open_member`: opens one of them.
-    `nodata`: adds to the nodata value of each, or replaces it.
-    `heights_are`: meaning of all numbers; overrides the metadata.
-
-    Notes
-    -----
-    The mosaic's nodata value is the first one declared. A valid height of another raster with that
-    value is refused when it is read. Without any nodata value, whole numbers get a mask.
+    turned by right angles) are turned while they are read. The nodata value is the first one
+    declared. A valid height of another raster with that value is refused when it is read. Without
+    any nodata value, whole numbers get a mask. `open_member` opens one of `sources`. Raises
+    `InvalidHeightsError` if the rasters cannot be put together; the message says what to do.
     """
 
     def __init__(
@@ -302,10 +289,7 @@ class MosaicBackend(RasterBackend):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return heights and validity; voids hold the nodata value, NaN or 0.
-
-        Raises `InvalidHeightsError` if a valid height equals the nodata value.
-        """
+        """Return heights and validity; raise if a valid height equals the mosaic's nodata value."""
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
         valid = np.zeros(window.shape, dtype=np.bool_)
@@ -423,10 +407,7 @@ def _common(
 
 
 def _check_alike(first: _Description, other: _Description, named: _Description) -> None:
-    """Raise InvalidHeightsError unless a raster can be part of the first one's mosaic.
-
-    `named` is the raster whose unit is used.
-    """
+    """Raise InvalidHeightsError unless a raster fits the first one, and the unit of `named`."""
     if first.crs != other.crs:
         if first.crs and other.crs and (vertical := added_vertical(first.crs, other.crs)):
             raise InvalidHeightsError(
@@ -468,10 +449,7 @@ def _check_kind(first: _Description, other: _Description) -> None:
 
 
 def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None:
-    """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii.
-
-    `found`: by their metadata, else by their numbers.
-    """
+    """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii."""
     pairs = list(found)
     for pair in pairs:
         if (pair[1].kind == RADIUS) != (pairs[0][1].kind == RADIUS):

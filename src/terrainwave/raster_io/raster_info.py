@@ -82,10 +82,7 @@ class RasterInfo:
         return self.n_rows, self.n_cols
 
     def stored_side(self, bound: str) -> int:
-        """Return the side of stored numbers: 1 above their originals, -1 below, 0 both.
-
-        Scales below 0 and depths turn up and down.
-        """
+        """Return the side of stored numbers: 1 above their originals, -1 below, 0 both."""
         if bound == BOTH:
             return 0
         side = 1 if bound == ABOVE else -1
@@ -111,9 +108,8 @@ class RasterInfo:
     def own_kind(
         self, low: float | None, high: float | None, *, is_asked: bool
     ) -> tuple[str | None, Told, str | None]:
-        """Return the file's side of `kind_problem`.
+        """Return the file's side of `kind_problem`, for the ends of its range in physical units.
 
-        `low`, `high`: ends of the file's range, in physical units; None without heights.
         `is_asked`: the meaning of the other numbers was asked for: tags and numbers do not count.
         """
         told = Told(self.heights_are)
@@ -308,10 +304,7 @@ class EarlierFile(NamedTuple):
 
 
 class EarlierLoss(NamedTuple):
-    """Largest distance of heights from their original, in physical units, and the files between.
-
-    `max_error` is the last file's bound. Lossless files are not listed.
-    """
+    """Bound of heights from their original by the last of some files, in physical units."""
 
     max_error: float
     files: tuple[EarlierFile, ...] = ()

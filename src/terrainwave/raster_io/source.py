@@ -84,39 +84,19 @@ _SCAN_SAMPLES = 1 << 19
 class RasterSource:
     """One band of a raster, read window by window.
 
-    Raises `InvalidHeightsError` if the band is missing, its type is unsupported, the array is not
-    2-D or empty, or `nodata` does not fit the type; or if a .twz file is given. Raises
-    `StorageError` if the file is missing or not a raster.
+    A list of rasters is a mosaic: rasters of one grid; where they overlap, the last one counts. A
+    dataset of rasterio is not closed; those of xarray may be lazy. With `open_terrain` also .twz
+    files, by their paths or open. `nodata` marks voids, besides the values that the raster
+    declares; ``"only:V"`` uses V instead of these, ``"none"`` no value at all. `warn` issues
+    `notes` as warnings, except its asides. Raises `InvalidHeightsError` or `StorageError` if the
+    raster cannot be used, or `nodata` does not fit.
 
-    `source` (path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset):
-        the raster. A list is a mosaic: rasters of one grid; where they overlap, the last one
-        counts. A dataset of rasterio is not closed; those of xarray may be lazy. With
-        `open_terrain` also .twz files, by their paths or open.
-    `band`: number of the band, from 1. A note says if other bands exist and none was chosen.
-    `nodata`: a value that marks voids, besides the values that the raster declares; ``"only:V"``
-        uses V instead of these, ``"none"`` no value at all.
-    `georeference`: False ignores the source's transform and CRS.
-    `heights_are` ({"height", "depth", "radius"}, optional): meaning of the numbers; overrides the
-        metadata.
-    `warn`: issue `notes` as warnings; off in tasks that open the same raster again.
-    `open_terrain`: opens a .twz file as a raster (`file.raster`); without it they are refused.
+    `told` is the meaning of the numbers by the metadata, None for plain arrays; `is_asked` is true
+    with `heights_are`. `earlier` is the earlier loss of heights from .twz files, the largest of
+    several, `came_from` the .twz file that an array names as its source. `undeclared_values` are
+    declared void by sources, but not by `nodata`. `is_striped` is true if narrow windows decode
+    much wider ones: a scan in the order of `blocks` is then many times cheaper than small windows.
 
-    `info`: all metadata.
-    `name`: name of the source in messages.
-    `notes`: notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`,
-        except its asides.
-    `n_bytes_read`: bytes of heights read so far.
-    `told`: meaning of the numbers by the metadata; None for plain arrays.
-    `is_asked`: `heights_are` was given.
-    `is_file`: windows are decoded from a file.
-    `earlier`: the earlier loss of heights from .twz files, the largest of several.
-    `came_from`: the .twz file that an array names as its source.
-    `undeclared_values`: values that sources declare void, but `nodata` does not.
-    `is_striped`: True if narrow windows decode much wider ones: a scan in the order of `blocks` is
-        then many times cheaper than small windows.
-
-    Notes
-    -----
     Thread-safe. A GDAL dataset serves one thread at a time: a local GeoTIFF is opened again for
     each further thread, others are read by one thread at a time. A dataset that the caller passed
     must not be used elsewhere meanwhile, and nothing may be read while `close` runs.
@@ -228,13 +208,10 @@ class RasterSource:
         return info
 
     def with_meaning(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
-        """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
+        """Return `info` with the meaning of the numbers, by the extremes as stored, and notes.
 
         Reads the raster again if only a name suggests depths and some values are below 0, and the
-        rasters of a mosaic if some may have radii and others not. Raises `InvalidHeightsError` if
-        only some rasters of a mosaic have radii.
-
-        `minimum`, `maximum`: extremes of all valid heights, as stored.
+        rasters of a mosaic if some may have radii and others not, which is refused.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
@@ -257,10 +234,8 @@ class RasterSource:
     def settled(self, crs_text: str | None) -> Told | None:
         """Return the meaning of the numbers, told or else by their values; None without any.
 
-        Reads on while all values may be radii. Raises `InvalidHeightsError` if only some rasters of
-        a mosaic have radii.
-
-        `crs_text`: the CRS of a raster that has none.
+        `crs_text` is the CRS of a raster that has none. Raises `InvalidHeightsError` if only some
+        rasters of a mosaic have radii.
         """
         crs_text = self.info.crs or crs_text
         if not self.is_asked:
@@ -319,17 +294,9 @@ class RasterSource:
         return other
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
+        """Return heights of a window inside the grid, a copy, and their validity.
 
-        Raises `InvalidHeightsError` if a valid sample is infinite. Raises `StorageError` if the
-        source cannot be read there.
-
-        Returns
-        -------
-        heights : ndarray of the source's dtype, shape (n_rows, n_cols)
-            A writable copy; void samples hold the source's values.
-        valid : ndarray of bool, shape (n_rows, n_cols)
-            False where the sample is void.
+        Raises `InvalidHeightsError` if a valid sample is infinite, `StorageError` if reading fails.
         """
         info = self.info
         if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
@@ -354,10 +321,7 @@ class RasterSource:
         return heights, valid
 
     def even(self, region: Region) -> Even | None:
-        """Return the common content of a region inside the grid, without reading it.
-
-        None if the source's index does not give it.
-        """
+        """Return the common content of a region if the source's index gives it."""
         with self._lent() as backend:
             even = backend.even(region)
         if even is None or not even.is_valid:
@@ -371,10 +335,7 @@ class RasterSource:
         return Even(value, not is_void)
 
     def undeclared(self, region: Region) -> np.ndarray | None:
-        """Return which heights of a region the source declares void, against `nodata`.
-
-        None if no such value was declared.
-        """
+        """Return which heights of a region the source declares void, against `nodata`, if any."""
         if not self._backend.undeclared:
             return None
         heights, valid = self.read(*region)
@@ -396,20 +357,13 @@ class RasterSource:
             )
 
     def blocks(self, max_samples: int = _SCAN_SAMPLES) -> Iterator[Region]:
-        """Yield windows that cover the grid once, in the order of the source's blocks.
-
-        Each holds at most `max_samples` samples: full-width strips if they fit, else rows of whole
-        blocks cut in width.
-        """
+        """Yield windows that cover the grid, in the order of its blocks."""
         info = self.info
         block_rows, block_cols = self._backend.block_shape
         yield from scan_windows(info.n_rows, info.n_cols, block_rows, block_cols, max_samples)
 
     def parts(self) -> Iterator[tuple[Region, Even | None]]:
-        """Yield windows that cover the grid once, as `blocks` does, with the content of even ones.
-
-        A window with an even part is divided.
-        """
+        """Yield the windows of `blocks`, divided where a part is even, with their content."""
         bands: dict[int, Even | None] = {}
         band = Region(0, 0, 0, 0)
         for block in self.blocks():

@@ -25,14 +25,10 @@ _UNWRITTEN, _OF_ONE_VALUE = 0, 255
 class Spool:
     """A 2-D array of fixed shape with windowed reads and writes; thread-safe for disjoint writes.
 
-    In the file, a tile of whole numbers with a small range takes one or two bytes per sample, as
-    distances from the lowest, if it was written as a whole.
-
-    `shape`: rows and columns.
-    `dtype`: element type.
-    `directory`: directory of the temporary file, if one is needed; it is deleted by `close`.
-    `origin`: row and column of the first sample: regions are counted as those of a larger array.
-    `path`: the file to use instead; it may exist already and is not deleted.
+    In its file, a tile of whole numbers with a small range takes one or two bytes per sample, as
+    distances from the lowest, if it was written as a whole. Regions are counted from `origin`, as
+    those of a larger array. The file at `path` may exist already and is kept; without one a
+    temporary file in `directory` is deleted by `close`.
     """
 
     def __init__(
@@ -68,11 +64,7 @@ class Spool:
         self._n_slots = 0
 
     def _open(self, path: Path, n_tiles: tuple[int, int]) -> None:
-        """Use a file that outlives this object, with a fixed place for each tile.
-
-        Compressed tiles leave holes there. One of two accompanying files holds the states of the
-        tiles, the other their values.
-        """
+        """Use a file that outlives this object; tiles have fixed places, and holes."""
         states, values = _beside(path)
         is_there = self.was_there = path.exists() and states.exists() and values.exists()
         mode: Any = "r+" if is_there else "w+"
@@ -88,10 +80,7 @@ class Spool:
         return Region(*self.origin, *self.shape)
 
     def read(self, region: Region) -> NDArray[Any]:
-        """Return a copy of the samples of `region`.
-
-        Raises `ValueError` if `region` does not lie inside the array.
-        """
+        """Return a copy of the samples of `region`, which must lie inside the array."""
         if self._memory is not None:
             return self.view(region).copy()
         self._check_inside(region)
@@ -106,10 +95,7 @@ class Spool:
         return window
 
     def view(self, region: Region) -> NDArray[Any]:
-        """Return the samples of `region`, read-only; not copied if they are in memory.
-
-        Raises `ValueError` if `region` does not lie inside the array.
-        """
+        """Return the samples of `region`, read-only; not copied if they are in memory."""
         if self._memory is None:
             return self.read(region)
         self._check_inside(region)
@@ -120,10 +106,7 @@ class Spool:
             raise ValueError(f"{region} is not inside {self.region}")
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
-        """Store `values` in `region`; windows made of whole tiles are written without reading.
-
-        Tiles of one value take no space.
-        """
+        """Store `values` in `region`; whole tiles are written without reading."""
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
             return
@@ -146,7 +129,7 @@ class Spool:
                 self._write_tile(at, content, low, 0 if is_one else self.dtype.itemsize)
 
     def fill(self, region: Region, value: Any) -> None:
-        """Store one value in a region; whole tiles that were never written take no space.
+        """Store one value in a region, in no space if whole tiles were never written.
 
         Whole tiles from an earlier run are not changed: that run wrote them after filling.
         """
@@ -273,11 +256,7 @@ def _is_in_file(states: Any) -> Any:
 
 
 def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
-    """Return the lowest value, and the bytes needed for each distance from it.
-
-    0 bytes if all values are equal; the size of the type, and any value, if they are not whole
-    numbers.
-    """
+    """Return the lowest value, and the bytes for each distance from it: 0 if all are equal."""
     if _is_one(values):
         return values[0, 0], 0
     if values.dtype.kind in "iu":

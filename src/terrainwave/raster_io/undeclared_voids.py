@@ -54,10 +54,7 @@ class _Survey(NamedTuple):
 def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[str]:
     """Return a sentence for each value that looks like an undeclared void.
 
-    Reads the raster again only if an extreme is close to a common marker of voids. Several such
-    values may lie next to each other.
-
-    `minimum`, `maximum`: extremes of all valid heights, as stored.
+    Reads the raster again only if an extreme, as stored, is close to a common marker of voids.
     """
     ends = dict.fromkeys((minimum, maximum))
     for end in ends:
@@ -87,9 +84,7 @@ def note_on_undeclared(
 ) -> list[str]:
     """Return a sentence that counts heights that would be voids without `nodata`.
 
-    Reads the raster again only if such a value can be among its heights.
-
-    `minimum`, `maximum`: extremes of all valid heights, as stored.
+    Reads the raster again only if such a value can lie between the extremes, as stored.
     """
     dtype = np.dtype(source.info.dtype)
     values = source.undeclared_values

@@ -43,10 +43,7 @@ def text_of(dataset: Any) -> str:
 
 
 def rectangles_of(source: ET.Element, default: float) -> list[list[float]]:
-    """Return the rectangles that a source copies from and to, as far as it states them.
-
-    Each is (row, col, n_rows, n_cols), with `default` for a number that is missing.
-    """
+    """Return the stated rectangles that a source copies from and to: (row, col, n_rows, n_cols)."""
     return [
         [float(one.get(name, default)) for name in ("yOff", "xOff", "ySize", "xSize")]
         for one in map(source.find, ("SrcRect", "DstRect"))

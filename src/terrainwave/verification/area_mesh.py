@@ -30,12 +30,10 @@ def area_problems(
     max_error: float | None,
     read: ReadOriginal | None = None,
 ) -> tuple[list[str], float]:
-    """Return the problems of a `Mesh`, and the largest distance of samples from it.
+    """Return the problems of a `Mesh` of `region`, and the largest distance of samples from it.
 
-    `mesh`: of `region`, which is one of the full grid.
-    `max_error`: the requested error; None for the stored meshes.
-    `read`: returns raw originals and validity of a region. Without it errors are measured from the
-        decoded heights, and may exceed the stated ones by the file's own bound.
+    `max_error` is None for the stored meshes. Without `read`, errors are measured from the decoded
+    heights, and may exceed the stated ones by the file's own bound.
     """
     ruler, problems, worst = QuantaScale(terrain), [], 0
     if max_error is not None and mesh.error > max_error * (1 + _SLACK):

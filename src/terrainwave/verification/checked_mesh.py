@@ -19,13 +19,10 @@ _MAX_PRODUCT = 1 << 61
 
 
 class CheckedMesh(NamedTuple):
-    """A mesh to check.
+    """A mesh to check; integers or floats.
 
-    `rows`, `cols` (ndarray of int64 or float64, shape (n_vertices,)): in half samples of the grid
-        used for the check.
-    `heights` (ndarray of int64 or float64, shape (n_vertices,)): in 1/16 quanta.
-    `triangles` (ndarray of int, shape (n_triangles, 3)): clockwise with columns to the right and
-        rows downwards.
+    `rows`, `cols` are in half samples of the grid used for the check, `heights` in 1/16 quanta.
+    `triangles` are clockwise with columns to the right and rows downwards.
     """
 
     rows: NDArray[Any]
@@ -67,13 +64,10 @@ def deviation(
     limit: float,
     place: tuple[int, int] = (0, 0),
 ) -> Deviation:
-    """Return the largest vertical distance of valid samples from a surface.
+    """Return the largest vertical distance of valid samples from a surface, in 1/16 quanta.
 
-    Exact, rounded up, if `CheckedMesh.is_exact`; otherwise it may be up to 2^-8 too small.
-
-    `samples` (ndarray of int64, shape (n_rows, n_cols)): heights in 1/16 quanta.
-    `limit`: samples further away than this are counted.
-    `place`: row and column of the first sample.
+    Exact, rounded up, if `CheckedMesh.is_exact`; otherwise it may be up to 2^-8 too small. Samples
+    further away than `limit` are counted; the first sample lies at `place`.
     """
     kind = np.int64 if surface.is_exact else np.float64
     loss = 0 if surface.is_exact else _FLOAT_LOSS

@@ -34,11 +34,9 @@ def problems_of(
     *,
     at_least: NDArray[np.uint8] | None = None,
 ) -> Iterator[str]:
-    """Check that a surface is a height field over its area; yield problems.
+    """Check that a surface is a height field over `shape` samples; yield problems.
 
-    `shape`: numbers of rows and columns of samples under the surface.
-    `expected` (ndarray of uint8, optional): exact cover of each quad.
-    `at_least` (ndarray of uint8, optional): least cover of each quad.
+    `expected` is the exact cover of each quad, `at_least` the least.
     """
     rows, cols, triangles = surface.rows, surface.cols, surface.triangles
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(rows)):
@@ -155,14 +153,8 @@ def _runs(
 ) -> tuple[NDArray[np.float64], int, tuple[float, float]]:
     """Join directed edges that continue each other on a line; both ends in columns 0 and 1.
 
-    Returns
-    -------
-    runs : ndarray of float64, shape (n_runs, 5)
-        Row step, column step, line, from, to; sorted.
-    n_slanted : int
-        Edges neither along the grid nor along its diagonals.
-    place : tuple
-        Row and column of one of them.
+    Returns the runs, sorted (row step, column step, line, from, to), the number of edges neither
+    along the grid nor along its diagonals, and row and column of one of these.
     """
     down, right = rows[:, 1] - rows[:, 0], cols[:, 1] - cols[:, 0]
     longest = np.maximum(np.abs(down), np.abs(right))

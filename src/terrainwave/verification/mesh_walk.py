@@ -72,10 +72,7 @@ class AreaMeshes:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """Result of checking a file's meshes.
-
-    `against` is ``"original"`` or ``"decoded"``: the reference of measured errors.
-    """
+    """Result of checking a file's meshes, with errors from the ``"original"`` or ``"decoded"``."""
 
     kind: str
     against: str
@@ -114,8 +111,8 @@ class Checks:
 class MeshVerification:
     """The checks of one file's meshes.
 
-    `read`: returns raw originals and validity of a region of the full grid; without it errors are
-        measured from the decoded heights, and may exceed the stated ones by the file's own bound.
+    Without `read` errors are measured from the decoded heights, and may exceed the stated ones by
+    the file's own bound.
     """
 
     def __init__(

@@ -53,13 +53,7 @@ class ErrorSum:
         decoded_valid: np.ndarray,
         n_alike: int = 1,
     ) -> np.ndarray:
-        """Add the window at (row, col), each of whose samples represents `n_alike`.
-
-        Returns
-        -------
-        differences : ndarray of float64 or int32, shape of the window
-            Absolute unscaled differences; 0 where a sample is void in either raster.
-        """
+        """Add a window; a sample stands for `n_alike`. Return unscaled absolute differences."""
         both = valid & decoded_valid
         n_both, n_one = np.count_nonzero(both), np.count_nonzero(valid != decoded_valid)
         self._n_mask_differences += n_alike * int(n_one)

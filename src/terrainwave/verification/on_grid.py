@@ -39,8 +39,8 @@ class QuantaScale:
     def _of_decoded(self, header: Any) -> int:
         """Return the largest distance of decoded heights off the grid from their quanta.
 
-        It is half a float's spacing, the excess of `rho` over half a quantum; with remainders all
-        of `rho`.
+        Half a float's spacing, the excess of `rho` over half a quantum; with remainders all of
+        `rho`.
         """
         rounded = Fraction(header.rho) / header.quantum
         if not header.has_remainders:
@@ -87,10 +87,7 @@ def block_surface(terrain: Any, block: Block) -> CheckedMesh:
 
 
 def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
-    """Return the validity of a block's samples, including those past the raster's edge.
-
-    Samples of coarse levels may lie there; they are valid if the last ones inside are.
-    """
+    """Return the validity of a block's samples; past the raster's edge that of the last inside."""
     grid = terrain.grid
     region = grid.block_region(block)
     _, mask = terrain.read_with_mask(region, level=block.level, voids="any")
@@ -130,8 +127,7 @@ def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
 def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
     """Check that two meshes leave no gap along their common line.
 
-    Vertices at one position have one height, and none lies inside an edge of the other mesh. Where
-    a void touches the line, vertices of only one of the two are allowed.
+    Vertices at one position have one height, and none lies inside an edge of the other mesh.
     """
     _, here, there = np.intersect1d(one.places, other.places, return_indices=True)
     n_apart = np.count_nonzero(one.heights[here] != other.heights[there])
@@ -152,10 +148,7 @@ def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
 
 
 def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:
-    """Return a `Mesh` in half samples of the full grid, from the first sample of `region`.
-
-    Integers if all vertices lie on half samples, else floats, as in a clipped mesh.
-    """
+    """Return a `Mesh` in half samples of the full grid: integers if all vertices lie on them."""
     transform = terrain.raster_info.transform
     # Relative to the origin's pixel centre: vertices are near it, so no precision is lost.
     centre_row, centre_col = places_to_samples(transform, *mesh.origin[:2])
@@ -200,10 +193,9 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
 
 
 def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) -> Iterator[str]:
-    """Check a `Mesh` over `region` of the full grid as a surface.
+    """Check a `Mesh` over `region` of the full grid, with blocks of one `level` or of several.
 
-    `level` is that of all its blocks. None if they may be of several: it must then cover at least
-    the span of the full grid's samples, and coarser blocks may cover more.
+    Of several, it must cover at least the span of the full grid's samples.
     """
     surface = surface_of_mesh(terrain, mesh, region)
     shape = region.n_rows, region.n_cols

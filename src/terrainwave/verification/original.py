@@ -93,10 +93,7 @@ class Original:
         return height_unit(units, format_crs(self.dataset.crs))
 
     def kind_problem(self, terrain: Any) -> str | None:
-        """Return the problem if it and the file have two of heights, depths and radii.
-
-        Reads on while all numbers may be radii.
-        """
+        """Return the problem if it and the file have two of heights, depths and radii."""
         crs_text, is_asked = format_crs(self.dataset.crs), self._asked_kind is not None
         told: Told | None = Told(self._asked_kind, "`heights_are`")
         if not is_asked:
@@ -166,10 +163,7 @@ class Original:
         return heights == self.dtype.type(int(nodata))
 
     def windows(self) -> Iterator[tuple[Region, Even | None]]:
-        """Yield windows that suit both sides: squares for tiles, wide strips for strips.
-
-        Larger windows have equal samples by the index, confirmed by `holds`.
-        """
+        """Yield windows that suit both sides; larger ones are even, confirmed by `holds`."""
         if self.place is None:
             return
         for part, even in even_parts(self.place, self.side, self._even):

@@ -16,18 +16,10 @@ ABC, ACD, ABD, BCD = _A_RIGHT | _C_UP, _A_DOWN | _C_LEFT, _A_DOWN | _A_RIGHT, _C
 def coverage(
     surface: CheckedMesh, shape: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
-    """Measure the cover of each quad, and the number of positions covered twice.
+    """Measure the cover of each quad by a surface over `shape` samples.
 
-    `shape`: numbers of rows and columns of samples; the first sample lies at (0, 0).
-
-    Returns
-    -------
-    pieces : ndarray of uint8, shape (n_rows - 1, n_cols - 1)
-        `WHOLE`, `NOTHING`, `ABC` …, or another number if the cover is impossible.
-    n_twice : int
-        Positions covered more than once.
-    place : tuple of int or None
-        The row and column of a sample next to one of them.
+    Returns the pieces (`WHOLE`, `NOTHING`, `ABC` …, or another number if the cover is impossible),
+    the number of positions covered twice, and the sample next to one of these.
     """
     is_exact = all(v.dtype.kind != "f" for v in (surface.rows, surface.cols))
     kind = np.int64 if is_exact else np.float64
@@ -98,14 +90,7 @@ def _coverage(rows, cols, triangles, tolerance, pieces):
 
 
 def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the cover of a mesh of all samples: quads of four valid samples, triangles of three.
-
-    `mask` (ndarray of bool, shape (n_rows, n_cols)): valid samples.
-
-    Returns
-    -------
-    ndarray of uint8, shape (n_rows - 1, n_cols - 1)
-    """
+    """Return the cover of a mesh of all samples: quads of four valid ones, else triangles."""
     a, b, d, c = mask[:-1, :-1], mask[:-1, 1:], mask[1:, :-1], mask[1:, 1:]
     pieces = np.zeros(a.shape, dtype=np.uint8)
     pieces[a & b & c & d] = WHOLE

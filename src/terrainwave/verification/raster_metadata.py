@@ -17,10 +17,7 @@ _OF_WHOLE = ("size", "description", "AREA_OR_POINT")
 
 
 def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -> Iterator[str]:
-    """Yield differences of a file's raster metadata from the original's.
-
-    For the raster of a `part`, only metadata that affect heights, as in `patch`.
-    """
+    """Yield differences of metadata; for the raster of a `part`, of those that affect heights."""
     dataset, index = original.dataset, original.band - 1
     info = terrain.info()
     if terrain.effective_error > terrain.max_error * (1 + 1e-12):

@@ -142,10 +142,7 @@ def serve(
 
 @contextmanager
 def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
-    """End the command without an error on a signal.
-
-    The status is 0 after Ctrl-C; after other signals it is what shells expect.
-    """
+    """End the command by a signal without an error: status 0 after Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt as ended:
@@ -157,10 +154,7 @@ def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
 
 
 def _serve_named(add: Callable[[str], Any], address: str, server: Any) -> None:
-    """Serve each file named by a line of stdin and answer it; stop the server at the end of stdin.
-
-    An answer has `file`, as named, and `url` and `info`, or `error`.
-    """
+    """Serve each file named by a line of stdin; answer `file`, and `url` and `info` or `error`."""
     # Unbuffered: the process may end while this thread waits for a line.
     with open(0, "rb", buffering=0, closefd=False) as names:
         try:

@@ -73,10 +73,7 @@ class Connections:
         self.renew()
 
     def renew(self) -> None:
-        """Reset after a fork: parent and child would read each other's bytes.
-
-        Connections in use are left alone: their locks may be held.
-        """
+        """Reset after a fork; connections in use are left alone, as their locks may be held."""
         self._lock = threading.Lock()
         self._turns = threading.Semaphore(N_CONNECTIONS)
         self._managers: dict[tuple[str, str | None], urllib3.PoolManager] = {}
@@ -261,10 +258,7 @@ def _is_near(url: SplitResult, no_proxy: str) -> bool:
 
 
 def trusted() -> ssl.SSLContext:
-    """Return the certificates to trust: those named by the environment, or the system's.
-
-    Raises `StorageError` if a variable names a file without certificates.
-    """
+    """Return the certificates to trust: those named by the environment, or the system's."""
     return _context(*map(os.environ.get, (*_CERTIFICATES, "SSL_CERT_DIR")))
 
 

@@ -33,11 +33,7 @@ class ByteRange(NamedTuple):
 
 
 class Budget(NamedTuple):
-    """Limits for the requests of one round.
-
-    `n_requests` is the target; `waste` are the bytes in gaps to bridge in any case, `most_waste`
-    while there are more requests.
-    """
+    """Target number of requests of one round, and bytes in gaps to bridge: always, and above it."""
 
     n_requests: int
     waste: int
@@ -45,11 +41,7 @@ class Budget(NamedTuple):
 
 
 def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
-    """Return the remaining budget for a round of a read.
-
-    `n_wanted`: bytes wanted in the whole read, including earlier and later rounds.
-    `n_requests`, `n_wasted`: requests made and unwanted bytes fetched in earlier rounds.
-    """
+    """Return the budget that is left of a whole read of `n_wanted` bytes, after earlier rounds."""
     waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
     most_waste = max(_MOST_FREE_WASTE, int(_MOST_WASTE * n_wanted))
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
@@ -58,8 +50,8 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
 def merge_ranges(ranges: Iterable[ByteRange], budget: Budget | None = None) -> list[ByteRange]:
     """Return requests that cover `ranges`, by offset, up to 16 MiB each.
 
-    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of only these
-    ranges. Empty ranges need no request.
+    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of these
+    ranges.
     """
     runs: list[ByteRange] = []
     for wanted in sorted(part for part in ranges if part.length):
@@ -101,9 +93,7 @@ class _Source(Protocol):
 
 
 class RoundReader:
-    """Fetches ranges of a source, a round at a time; all rounds share one budget.
-
-    Earlier rounds give the positions of later ranges. All bytes fetched stay.
+    """Fetches ranges of a source in rounds that share one budget; all bytes fetched stay.
 
     `start`: beginning of the source, as far as it is known.
     """
@@ -117,10 +107,7 @@ class RoundReader:
         self._n_read = 0
 
     def fetch(self, wanted: Iterable[ByteRange]) -> None:
-        """Fetch the missing parts of `wanted`, in one round.
-
-        They count as needed together with those of earlier rounds, which may be among them.
-        """
+        """Fetch the missing parts of `wanted` in one round, which still needs earlier ones."""
         self._wanted |= dict.fromkeys(wanted)
         missing = [part for place in self._wanted for part in self._missing(place)]
         n_wanted = sum(place.length for place in self._wanted)

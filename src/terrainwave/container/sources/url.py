@@ -115,10 +115,7 @@ class _Version(NamedTuple):
     modified: str | None = None
 
     def is_that_of(self, other: "_Version") -> bool:
-        """Compare ETags, weak or strong, or else dates; a missing one matches.
-
-        An empty version matches every other, but a version does not match an empty one.
-        """
+        """Compare ETags, weak or strong, or else dates; an empty version matches every other."""
         if self.etag and other.etag:
             return self.etag.removeprefix("W/") == other.etag.removeprefix("W/")
         if self.modified and other.modified:
@@ -194,11 +191,8 @@ class _UrlSource(ByteSource):
 class HttpSource(_UrlSource):
     """A file on a web server with byte ranges, or a small one on a server without.
 
-    Opening is one request, for the first 16 KiB. Retries and error messages are those of the
-    JavaScript reader: docs/how-to/remote.md.
-
-    `version`: the ETag and the Last-Modified that every reply must carry; by default those of the
-        first reply.
+    Opening is one request, for the first 16 KiB. Every reply must have the `version` of the first
+    one. Retries and messages are those of the JavaScript reader: docs/how-to/remote.md.
     """
 
     def __init__(self, url: str, version: _Version = _Version()) -> None:  # noqa: B008  immutable
@@ -439,10 +433,7 @@ def _coding(headers: Mapping[str, str]) -> str:
 
 
 def _read_reply(response: Any, url: str, wanted: ByteRange | None, *, takes_whole: bool) -> _Reply:
-    """Read a partial reply up to the wanted length, and little of others.
-
-    `takes_whole` also reads a complete file, up to `MAX_WHOLE`.
-    """
+    """Read a partial reply up to the wanted length, or a whole file up to `MAX_WHOLE`."""
     status, headers = response.status, response.headers
     reply = _Reply(url, status, headers)
     if status == 200 and takes_whole:
@@ -482,10 +473,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
 
 
 class FsspecSource(_UrlSource):
-    """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
-
-    `version`: required version according to the file system; by default the current one.
-    """
+    """A file on any storage of fsspec, of a required version: ``s3://``, ``gs://``, ..."""
 
     # File systems raise errors of their libraries, most of which are not OSErrors.
     _failing, _passing = (Exception,), (ConnectionError, TimeoutError)

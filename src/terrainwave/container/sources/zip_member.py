@@ -56,11 +56,7 @@ class MemberSource(ByteSource):
 
 
 class CutFile(MemberSource):
-    """The bytes of a truncated file, followed by zeros, for which no checksum holds.
-
-    `source`: the existing bytes; closed by `close`.
-    `size`: bytes of the whole file.
-    """
+    """A truncated file of `size` bytes, whose end is zeros, for which no checksum holds."""
 
     def __init__(self, source: ByteSource, size: int) -> None:
         super().__init__(source.name, source, 0, size)
@@ -81,10 +77,7 @@ class CutFile(MemberSource):
 
 
 def open_member(path: str, source: ByteSource) -> ByteSource:
-    """Return the source of the file `path` in a zip; closes the zip's source on failure.
-
-    Raises `StorageError` if the archive or the file in it cannot be read.
-    """
+    """Return the source of the file `path` in a zip; close the zip's on failure."""
     try:
         return _member(path.lstrip("/"), source)
     except BaseException:

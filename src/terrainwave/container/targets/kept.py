@@ -52,15 +52,11 @@ class _Record(NamedTuple):
 
 
 class Kept:
-    """Finished work of one run; thread-safe.
+    """Finished work of one run in a directory, None to keep nothing; thread-safe.
 
-    Raises `StorageError` if the directory cannot be used.
-
-    `directory`: an existing directory that nobody else uses; None keeps nothing.
-    `run`: everything that the work depends on, as plain values for JSON.
-
-    `other`: the `run` of other work that was found in the directory, and removed.
-    `n_found`: number of records of an earlier run.
+    `run` is everything that the work depends on, as plain values for JSON. `other` is that of other
+    work that was found in the directory and removed, `n_found` the number of an earlier run's
+    records. Raises `StorageError` if the directory cannot be used.
     """
 
     def __init__(self, directory: Path | None = None, run: dict[str, Any] | None = None) -> None:
@@ -134,8 +130,7 @@ class Kept:
     ) -> Iterator[Result]:
         """Yield the results of `do` for the items that are not done yet, in order.
 
-        An item is done when the next result is requested; the record then has `values`, too. If
-        the results of an earlier run are not there any more, all items are done again.
+        An item is done when the next result is requested; the record then has `values`, too.
         """
         if not is_there and self.get(name) is not None:
             self.put(name, {"done": 0})
@@ -274,13 +269,8 @@ def kept_directory(
 
     It is called ``.name.digits.twz-kept``. It is removed at the end of the block, unless the block
     raises an exception after work was kept: then a note of the exception names it. The caller must
-    be the only writer of `target` (`unfinished.only_writer`). Raises `StorageError` if the
-    directory cannot be used, or belongs to another user.
-
-    `target`: absolute path.
-    `run`: everything that the work depends on (`Kept`); None keeps nothing, uses a directory of
-        another name, and removes existing work.
-    `fresh`: discard the work of an earlier run.
+    be the only writer of `target` (`unfinished.only_writer`). `fresh` discards an earlier run's
+    work; without `run` nothing is kept. Raises `StorageError` if the directory cannot be used.
     """
     path = own_path(target, Path(parent), KEPT_SUFFIX)
     if fresh or run is None:

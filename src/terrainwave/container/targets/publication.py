@@ -49,19 +49,11 @@ def publish(
 
     After an exception the unfinished file is removed and the target is unchanged. Parts that killed
     runs have left next to the target are removed, unless a living process holds their lock. GDAL's
-    files next to the target describe another raster and are removed at the end, as GDAL does when
-    it writes a raster. Raises `InvalidArgumentError` if `overwrite` is neither true nor false, or
-    `target` is a URL. Raises `StorageError`: before the block: if the target exists and `overwrite`
-    is false, is not a regular file, or its directory is missing or not writable. After it: if the
-    disk is full, the target cannot be replaced, or one of GDAL's files cannot be removed.
+    files next to the target describe another raster and are removed at the end, unless `is_update`.
+    A symbolic link is followed; `overwrite` replaces a file and keeps its permissions.
 
-    `target`: a symbolic link is followed.
-    `overwrite`: replace an existing file, keeping its permissions.
-    `is_update`: the file is a new state of the existing raster, so GDAL's files stay.
-
-    Yields
-    ------
-    part : Part
+    Raises `InvalidArgumentError` or `StorageError` before the block if the target may not be
+    written, after it if the disk is full, or a file cannot be replaced or removed.
     """
     check_flags(overwrite=overwrite)
     check_local(target)
@@ -101,10 +93,7 @@ def publish(
 
 
 def remove_of_gdal(target: str | os.PathLike[str], *suffixes: str) -> None:
-    """Remove GDAL's files next to a raster, also next to the target of a symbolic link.
-
-    Raises `StorageError` if one cannot be removed.
-    """
+    """Remove GDAL's files next to a raster, also next to the target of a symbolic link."""
     for name in {os.path.realpath(target), os.path.abspath(target)}:
         for path in (Path(f"{name}{suffix}") for suffix in suffixes):
             # Names of the greatest length have none.
@@ -124,13 +113,9 @@ def refuse_own_source(
     *,
     problem: str = "is the file to be read; expected another name for the result",
 ) -> None:
-    """Raise `StorageError` if `target` is the file of `source`, or one that it is read from.
+    """Raise `StorageError` if `target` is a file of `source`: replacing would destroy it.
 
-    Replacing it would destroy the original.
-
-    `source`: a path, or an open object with a path as `name`, or a list of these; others have no
-        file.
-    `problem`: the message's statement about `target`.
+    `source`: a path, or an open object with a path as `name`, or a list of these.
     """
     if isinstance(source, list | tuple):
         for one in source:
@@ -149,10 +134,7 @@ def refuse_own_source(
 
 @contextmanager
 def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
-    """Yield a file next to `target` for an intermediate result; it is removed when the block ends.
-
-    Files of killed runs are removed as in `publish`.
-    """
+    """Yield a file next to `target` for an intermediate result, removed when the block ends."""
     created: list[Path] = []
     part = None
     try:
@@ -167,10 +149,8 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
 def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Path]:
     """Yield a directory for temporary files that is removed when the block ends.
 
-    It is called ``.name.random.twz-scratch``; next to it lies a locked file, ``.twz-lock``, created
-    before it and removed after it. Directories that killed runs with the same `name` have left in
-    `parent` are removed first, unless a living process holds their lock. Raises `StorageError` if
-    `parent` is missing or not writable.
+    It is called ``.name.random.twz-scratch``; next to it lies a locked file, ``.twz-lock``. Those
+    that killed runs with the same `name` have left in `parent` are removed first.
     """
     parent = Path(parent)
     for stale in leftovers(parent, name, LOCK_SUFFIX):
@@ -209,13 +189,8 @@ def publish_directory(
 ) -> Iterator[Path]:
     """Yield a directory to fill; it gets the name `target` when the block ends without exception.
 
-    After an exception it is removed and the target is unchanged. Raises `InvalidArgumentError` if
-    `overwrite` is neither true nor false, or `target` is a URL. Raises `StorageError`: before the
-    block: if the target exists and may not be replaced, or its parent is missing or not writable.
-    After it: if the target cannot be replaced.
-
-    `marker`: name of a file in every such directory: others are never replaced.
-    `overwrite`: replace an existing directory with `marker`; an empty one is always replaced.
+    After an exception it is removed and the target is unchanged. Only an empty directory, or with
+    `overwrite` one that has the file `marker`, is replaced. Errors are those of `publish`.
     """
     check_flags(overwrite=overwrite)
     check_local(target)
@@ -275,10 +250,7 @@ def _check_target(final: Path, overwrite: bool) -> None:
 
 
 def remove_stale_parts(final: Path) -> list[Path]:
-    """Remove files that killed runs left next to `final`; return the removed paths.
-
-    A part whose lock is held, or cannot be tested on this system, stays.
-    """
+    """Remove unlocked files that killed runs left next to `final`; return the removed paths."""
     removed: list[Path] = []
     for path in leftovers(final.parent, final.name, SUFFIX):
         with taken(path) as file:

@@ -87,8 +87,7 @@ def taken(path: Path) -> Iterator[BinaryIO | None]:
 def create_locked(final: Path, suffix: str, created: list[Path], action: str) -> Part:
     """Create and lock a new file next to `final`, like mkstemp but with the umask's mode.
 
-    `created` gets its name before the file exists, so an interruption at any moment leaves nothing.
-    Errors begin with `action`.
+    `created` gets its name before the file exists, so an interruption leaves nothing.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | _PLAIN
     for _ in range(RETRIES):

@@ -109,11 +109,7 @@ class Channel:
 
 
 def read_ranges(source: ByteSource, question: Question) -> Answer:
-    """Return the bytes of ``ranges``, pairs of start and end, each as a buffer.
-
-    Raises `InvalidArgumentError` if they are not ranges inside the file. Raises
-    `LimitExceededError` if there are too many, or too many bytes.
-    """
+    """Return the bytes of ``ranges``, pairs of start and end, each as a buffer, within limits."""
     ranges = question.get("ranges")
     if not isinstance(ranges, list) or not ranges:
         raise InvalidArgumentError(f"found `ranges` {shown(ranges)}, expected a list of them")

@@ -18,12 +18,10 @@ _INSIDE = 1e-9
 
 
 def region_of_box(globe: Globe, box: Any) -> Region:
-    """Return the samples of the full grid whose pixels touch a box, clipped to the raster.
+    """Return the samples of the full grid whose pixels touch a box in degrees, clipped.
 
     In a raster around the whole globe, a box across its first column is reduced to its larger part.
     Raises `InvalidArgumentError` if it is not a box, or does not overlap the raster.
-
-    `box`: degrees; east may be beyond 180.
     """
     west, south, east, north = checked_numbers("box", box, "west, south, east, north")
     if not (west <= east <= west + 360 and -90 <= south <= north <= 90):

@@ -259,10 +259,7 @@ class Answers:
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
-    """Refuse an address outside a tile pyramid with `n_first` tiles, side by side, on zoom 0.
-
-    Raises `HTTPException`: 404, with one line that says what is expected.
-    """
+    """Answer 404 for a tile outside a pyramid with `n_first` tiles side by side on zoom 0."""
     if not 0 <= z <= last_zoom:
         raise HTTPException(404, f"found zoom {z}, expected 0 … {last_zoom}")
     n_columns, n_rows = n_first << z, 1 << z

@@ -50,28 +50,23 @@ def make_app(
     public_url: str | None = None,
     proxy: tuple[str, ...] = (),
 ) -> FastAPI:
-    """Return the application that serves these files.
+    """Return the application that serves these files; ``app.state.shelf`` takes more.
 
-    Raises `InvalidArgumentError` if an option has none of its values. Raises `InvalidHeightsError`
-    if two files have the same name or none has a place on the globe. Raises `TerrainwaveError` if
-    no file can be opened; one that cannot beside others is a warning.
-
-    `paths`: paths or URLs of .twz files; ``app.state.shelf`` takes more.
     `hosts`: names that a request's Host header may give besides `LOCAL_HOSTS`.
     `cors`: let pages of other origins read.
     `n_decoding`: requests that decode at a time.
     `radius`: radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-    `vertical` ({"as-is", "ellipsoid"}): heights of Cesium's tiles, as in `TilePyramid`.
-    `encoding` ({"mapbox", "terrarium"}): of terrain-RGB tiles where a request names none, and of
-        the page's; a warning names each file with heights that it cannot hold.
-    `transparent_voids`: give voids of terrain-RGB tiles alpha 0 where a request does not say.
-    `sea_level` ({"auto", "none"} or float): of the page's colours: the height in metres below which
-        all is water, or none; by default 0 where there are heights below -450 m.
-    `public_url`: address of the server as browsers see it, which tiles.json names, such as
-        ``https://example.org/terrain/``; requests by its host are accepted. By default that of each
-        request.
-    `proxy`: IP addresses or networks of proxies whose X-Forwarded-Proto, -Host and -Prefix are
-        believed, besides those on this machine.
+    `vertical`: heights of Cesium's tiles, as in `TilePyramid`.
+    `encoding`, `transparent_voids`: of terrain-RGB tiles where a request does not say; a warning
+        names
+        each file with heights that the encoding cannot hold.
+    `sea_level`: height in metres below which the page's colours show water, ``"none"`` or
+        ``"auto"``.
+    `public_url`: address as browsers see it, by default that of each request.
+    `proxy`: addresses or networks of trusted proxies, besides those on this machine.
+
+    Raises `TerrainwaveError` if an option has none of its values, two files have the same name or
+    none can be opened; one that cannot beside others is a warning.
     """
     SEA_LEVEL.checked("sea_level", sea_level)
     public = None if public_url is None else address_of(public_url)

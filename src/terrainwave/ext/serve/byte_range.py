@@ -25,10 +25,7 @@ class Span(NamedTuple):
 
 
 def asked_span(headers: Mapping[str, str], size: int, tag: str) -> Span | None:
-    """Return the range that a request's headers ask for; None if no byte of it is there.
-
-    All, where there is no range, several, or one that is meant for another version than `tag`.
-    """
+    """Return the range that a request asks for, all for none or several; None if beyond the end."""
     whole = Span(0, size, size, is_part=False)
     match = _RANGE.fullmatch(headers.get("range", "").replace(" ", ""))
     if match is None or match[0] == "bytes=-" or headers.get("if-range", tag) != tag:

@@ -65,10 +65,7 @@ def origin_of(tags: dict[str, str]) -> dict[str, str]:
 
 
 def layer_names(paths: list[str]) -> dict[str, str]:
-    """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
-
-    Raises `InvalidHeightsError` if two files have the same name.
-    """
+    """Return {name in URLs: path}; raise `InvalidHeightsError` for two files of one name."""
     names: dict[str, str] = {}
     for path in paths:
         stem = re.split(r"[/\\]", path.split("?")[0])[-1].rsplit(".", 1)[0]

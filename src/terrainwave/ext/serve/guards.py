@@ -26,9 +26,8 @@ def guards_of(*, cors: bool) -> dict[str, str]:
 class Guarded:
     """Sends headers with every answer; takes ranges from requests for what is no raster.
 
-    Starlette would send some hundred pieces of a file of the page, which nobody asks for.
-
-    Not a middleware of Starlette's own kind, through which each part of a body takes longer.
+    Starlette would send some hundred pieces of a file of the page. Through a middleware of its own
+    kind each part of a body takes longer.
     """
 
     def __init__(self, app: ASGIApp, guards: dict[str, str]) -> None:

@@ -97,10 +97,9 @@ _Served = TypeVar("_Served", bound=Raster)
 
 
 def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[str, Layer]:
-    """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
+    """Return {name in URLs: file}; a warning names each file that cannot be served.
 
-    Raises `TerrainwaveError`: what is wrong with the first file, if none can be served. Raises
-    `InvalidHeightsError` if two files have the same name.
+    Raises the first file's error if none can be served.
     """
     layers: dict[str, Layer] = {}
     refused: list[TerrainwaveError] = []
@@ -122,20 +121,13 @@ def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[s
 
 
 class Shelf:
-    """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time.
-
-    `rasters`: those of the start.
-    """
+    """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time."""
 
     def __init__(self, rasters: Iterable[Raster]) -> None:
         self._rasters = {raster.name: raster for raster in rasters}
 
     def add(self, path: str) -> Raster:
-        """Serve one more file, under a name that no other has; not on the page.
-
-        From one thread at a time. A file that is added again is opened again. Raises
-        `TerrainwaveError` if it cannot be opened.
-        """
+        """Serve one more file, under a name that no other has, not on the page; from one thread."""
         (stem,) = layer_names([path])
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))
         raster = Raster(next(name for name in names if name not in self._rasters), path)

@@ -34,10 +34,7 @@ class PublicUrl(NamedTuple):
 
 
 def public_url(text: str) -> PublicUrl:
-    """Return an address that a user gives.
-
-    Raises `InvalidArgumentError` if it is not http or https with a host and, at most, a path.
-    """
+    """Return an address that a user gives: http or https with a host and, at most, a path."""
     try:
         parts = urlsplit(text)
     except ValueError:  # brackets that do not pair, or hold no address
@@ -53,10 +50,7 @@ def public_url(text: str) -> PublicUrl:
 
 
 def network_of(text: str) -> Network:
-    """Return the network of an address such as 10.0.0.7 or 10.0.0.0/8.
-
-    Raises `InvalidArgumentError` if it is neither.
-    """
+    """Return the network of an address such as 10.0.0.7 or 10.0.0.0/8."""
     try:
         return ip_network(text, strict=False)
     except ValueError as error:
@@ -70,11 +64,8 @@ class Proxied:
     """Replaces scheme, host and path of requests by those that a trusted proxy forwards.
 
     A trusted proxy is on this machine, or at one of `proxies`. The headers are X-Forwarded-Proto,
-    -Host and -Prefix; those of all other clients are ignored. If a header has several values, the
-    last one counts: the trusted proxy wrote it.
-
-    `app`: it checks the host again.
-    `proxies`: trusted besides this machine.
+    -Host and -Prefix; those of all other clients are ignored. Of several values, the last counts:
+    the trusted proxy wrote it. `app` checks the host again.
     """
 
     def __init__(self, app: ASGIApp, proxies: Iterable[Network] = ()) -> None:

@@ -27,12 +27,7 @@ Read = Callable[[int, int], bytes]
 
 
 class Desk:
-    """Lets a bounded number of requests decode, or read, at a time.
-
-    A context manager that ends the threads.
-
-    `n_decoding`: threads that do it at once.
-    """
+    """Lets `n_decoding` requests decode, or read, at a time; a context manager."""
 
     def __init__(self, n_decoding: int) -> None:
         # Threads of their own: what one keeps to compute with, such as PROJ's, none other keeps.
@@ -41,10 +36,7 @@ class Desk:
         self._n_asked = 0
 
     async def do(self, work: Callable[..., Any], *args: Any, is_begun: bool = False) -> Any:
-        """Return ``work(*args)``, done in a thread; work for an answer that has begun waits.
-
-        Raises `HTTPException`: 503 if too many requests wait already.
-        """
+        """Return ``work(*args)`` of a thread; 503 if too many wait, unless the answer has begun."""
         if not is_begun and self._n_asked >= self._n_decoding + N_WAITING:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
         self._n_asked += 1
@@ -67,10 +59,7 @@ class Desk:
 
 
 class Ahead:
-    """Has bytes made before they are asked for, where a client reads on; for one resource.
-
-    `read`: makes bytes from a place on, and keeps what it made them of.
-    """
+    """Has bytes made before they are asked for, where a client reads on; for one resource."""
 
     def __init__(self, read: Read) -> None:
         self._read = read
@@ -78,11 +67,7 @@ class Ahead:
         self._task: asyncio.Task[None] | None = None
 
     def note(self, desk: Desk, span: Span) -> None:
-        """Take note that a span is nearly sent, and go on behind it if the client may.
-
-        It may if the span goes on from the last one, or if it is as long as the spans of a
-        client that reads the whole file.
-        """
+        """Go on behind a span that is nearly sent if the client reads on, or asks for long ones."""
         is_read_on = span.start == self._stop or span.stop - span.start >= _AHEAD
         self._stop = span.stop
         if is_read_on and (self._task is None or self._task.done()):
@@ -100,10 +85,7 @@ class Ahead:
 async def parts(
     desk: Desk, read: Read, span: Span, ahead: Ahead | None
 ) -> AsyncGenerator[bytes, None]:
-    """Yield the bytes of a span in parts small enough to take little time each.
-
-    Once the first has come, the others wait as long as they must: an answer cannot be taken back.
-    """
+    """Yield the bytes of a span in parts; once the first has come, the others wait."""
     n_bytes = span.stop - span.start
     making = asyncio.ensure_future(desk.do(read, span.start, min(PART, n_bytes)))
     try:
@@ -121,10 +103,7 @@ async def parts(
 
 
 async def begun(made: AsyncGenerator[bytes, None]) -> AsyncIterator[bytes]:
-    """Return the same parts; the first is made now, so that its errors become answers.
-
-    Raises `HTTPException` or `TerrainwaveError`: what the first one raises.
-    """
+    """Return the same parts; the first is made now, so that its errors become answers."""
     first = await anext(made)
 
     async def all_parts() -> AsyncIterator[bytes]:

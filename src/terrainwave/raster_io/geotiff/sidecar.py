@@ -38,9 +38,7 @@ def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, fl
 def forget_measured(path: str | os.PathLike[str]) -> list[str]:
     """Remove GDAL's statistics of a raster whose heights have changed; return notes.
 
-    Statistics and histograms are removed from the .aux.xml next to it, and overviews with their
-    file. The rest of the .aux.xml stays. Raises `StorageError` if a file cannot be written or
-    removed.
+    The rest of the .aux.xml next to it stays; overviews are removed with their file.
     """
     notes = []
     for name in sorted({os.path.realpath(path), os.path.abspath(path)}):
@@ -74,10 +72,7 @@ def _drop_measured(element: Any) -> None:
 def write_beside(
     path: str | os.PathLike[str], crs: CRS, unit: str | None, epoch: float | None = None
 ) -> None:
-    """Write CRS, epoch and unit of a raster's band to its .aux.xml, which GDAL reads first.
-
-    Raises `StorageError` if it cannot be written.
-    """
+    """Write CRS, epoch and unit of a raster's band to its .aux.xml, which GDAL reads first."""
     target = Path(f"{os.fspath(path)}{SIDECAR}")
     content = ElementTree.Element("PAMDataset")
     system = _as_gdal_writes_it(crs)

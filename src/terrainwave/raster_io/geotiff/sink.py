@@ -95,10 +95,7 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
 
 
 class _Threads:
-    """Number of threads that GDAL may compress with.
-
-    A fork does not copy GDAL's threads, and GDAL would wait for them forever.
-    """
+    """Number of threads that GDAL may compress with; after a fork it waits for them forever."""
 
     def __init__(self) -> None:
         self._are_there = self._are_gone = False
@@ -119,27 +116,15 @@ _THREADS = _Threads()
 
 
 class RasterSink:
-    """GeoTIFF written window by window; it appears complete or not at all.
+    """GeoTIFF written window by window; it appears complete or not at all. A context manager.
 
-    Raises `StorageError` if the target exists, its directory cannot be written, or the disk cannot
-    hold it.
-
-    `path`: the target; an existing one is refused without `overwrite`.
-    `info`: size, type and metadata of the file.
-    `cog`: make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
-    `overwrite`: replace an existing file.
-    `n_threads`: threads that GDAL compresses with.
-    `stated`: items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
-
-    Notes
-    -----
-    Used as a context manager: leaving it normally publishes the file, leaving it by an exception
-    removes the unfinished file. Windows may come in any order, each sample once; windows of
-    `blocks` are the most efficient. If a nodata value marks voids, entirely void windows may be
-    left out: their tiles take no bytes. All windows are read back before the file is published,
-    because GDAL hides errors of its threads and of its last writes, and puts zeros in place of
-    failed tiles. Memory: one window and GDAL's cache. While a COG is made it needs twice the size
-    of the file on disk.
+    Windows may come in any order, each sample once; windows of `blocks` are the most efficient. If
+    a nodata value marks voids, entirely void windows may be left out: their tiles take no bytes.
+    All windows are read back before the file is published, because GDAL hides errors of its threads
+    and of its last writes, and puts zeros in place of failed tiles. Memory: one window and GDAL's
+    cache. While a COG is made, whose overviews are averages, it needs twice the size of the file on
+    disk. `stated` are items of the band's metadata, in `DOMAIN`, which GDAL does not copy into a
+    COG. Raises `StorageError` if the target exists, cannot be written, or the disk cannot hold it.
     """
 
     def __init__(
@@ -278,8 +263,7 @@ class RasterSink:
     def _check_complete(self, part: Path) -> None:
         """Raise StorageError unless every tile lies inside the file and holds what was written.
 
-        GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on a
-        full disk `close` succeeds.
+        GDAL writes the last tiles on closing, and rasterio ignores the result.
         """
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)

@@ -77,12 +77,10 @@ class _Entry(NamedTuple):
 def sparse_geotiff(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str]
 ) -> tuple[bytes, list[Plane]]:
-    """Return the head of a GeoTIFF and its planes, the coarsest first.
+    """Return the head of a GeoTIFF with some overviews, and its planes, the coarsest first.
 
-    Raises `LimitExceededError` if the head would be longer than some 100 MB.
-
-    `n_overviews`: overviews of half, a quarter, … of the size.
-    `stated`: items of the band's metadata, in `DOMAIN`. Overviews do not have them.
+    `stated`: items of the band's metadata, in `DOMAIN`. Overviews do not have them. Raises
+    `LimitExceededError` if the head would be longer than some 100 MB.
     """
     tile = _tile_side(info)
     # Overviews and mask add less than half.
@@ -119,11 +117,7 @@ def _tile_side(info: RasterInfo) -> int:
 def _written_by_gdal(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str], is_big: bool, tile: int
 ) -> bytearray:
-    """Return a sparse file of a small raster, 2 << `n_overviews` samples per side.
-
-    Only the directories' own numbers depend on the size, and GDAL would visit all tiles of a large
-    one.
-    """
+    """Return a sparse file of 2 << `n_overviews` samples per side: GDAL visits all tiles."""
     side = 2 << n_overviews
     profile = geotiff_profile(replace(info, n_rows=side, n_cols=side)) | {
         "blockxsize": tile,

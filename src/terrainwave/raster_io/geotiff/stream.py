@@ -25,9 +25,8 @@ class Bytes(Protocol):
 class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
     """A GeoTIFF as a seekable binary file object; thread-safe.
 
-    ``rasterio.open(stream)`` reads only the requested parts: rasterio reads other file objects into
-    memory, but lets a `MemoryFile` open itself. `opener` is for functions that take a path and an
-    opener.
+    ``rasterio.open(stream)`` reads only the requested parts, as a `MemoryFile` may open itself.
+    `opener` is for functions that take a path and an opener.
     """
 
     def __init__(self, file: Bytes) -> None:

@@ -42,10 +42,7 @@ class LabelledArray(NamedTuple):
 
 
 def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
-    """Return the only layer of heights in a DataArray; `source` is the object it was taken from.
-
-    Raises `InvalidArgumentError` if there is no such band.
-    """
+    """Return the only layer of heights in a DataArray, or its `band`, taken from `source`."""
     crs, notes = crs_of(array, source)
     roles = _roles(array, source)
     if len(roles) < 2:

@@ -213,8 +213,7 @@ def _without_coordinates(array: Any, told: ToldTransform) -> tuple[Transform | N
 def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform | None, list[str]]:
     """Return the transform of pixels of the attribute's size with these centres or corners.
 
-    None, with a note, if the coordinates belong to other pixels: averages of 2 x 2 centres look
-    like every second corner.
+    None, with a note, if the coordinates belong to other pixels.
     """
     shape = array.shape[0], array.shape[1]
     for shift in (0.0, -0.5):
@@ -253,10 +252,7 @@ def _reader(places: tuple[Any, Any], dims: tuple[Any, Any]) -> Any:
 
 
 def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
-    """Raise `InvalidHeightsError` if a coordinate is in another unit than the CRS.
-
-    Attributes survive when somebody sets another CRS, so the numbers have to fit it.
-    """
+    """Raise `InvalidHeightsError` if numbers and unit of a coordinate do not fit the CRS."""
     unit = str(coord.attrs.get("units", "")).lower()
     if crs is None:
         if unit in _RADIANS:  # they would pass for degrees

@@ -79,10 +79,7 @@ def _said(text: Any, table: dict[str, set[str]]) -> list[str]:
 
 
 def places_of(array: Any) -> tuple[Any, Any] | None:
-    """Return the coordinates with an x and a y for each sample, as rotated and curved grids have.
-
-    Projected ones first: there may be longitudes and latitudes as well.
-    """
+    """Return the coordinates with x and y of each sample, if any, rather projected ones."""
     both = [coord for coord in array.coords.values() if len(tuple(getattr(coord, "dims", ()))) == 2]
     for sign in (by_standard_name, by_axis, by_units, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}

@@ -12,10 +12,7 @@ from terrainwave.raster_io.labelled.signs import title
 
 
 class Packing(NamedTuple):
-    """Scale and offset of an array's numbers.
-
-    `applied` are those of the attributes if they have been applied already.
-    """
+    """Scale and offset of an array's numbers; `applied` are those that are applied already."""
 
     scale: float
     offset: float
@@ -27,8 +24,7 @@ def packing_of(array: Any) -> Packing:
     """Return scale and offset by attributes and encoding of a DataArray.
 
     xarray moves both from the attributes to the encoding when it applies them; a calculation keeps
-    them in the attributes, and drops the encoding. So floats are packed only if the encoding gives
-    float as their type in the file.
+    them in the attributes. So floats are packed only if that is their type in the file.
     """
     attrs, encoding = array.attrs, getattr(array, "encoding", {})
     found = number_of(attrs, "scale_factor", 1.0), number_of(attrs, "add_offset", 0.0)
@@ -89,8 +85,7 @@ class Voids(NamedTuple):
 def voids_of(array: Any, band: int, packing: Packing) -> Voids:
     """Return the values that accessor, attributes and encoding of a DataArray declare void.
 
-    The CF conventions allow several. `array` must be the object that the user gave: parts of it
-    lack settings of its accessor.
+    `array` must be the object that the user gave: parts of it lack settings of its accessor.
     """
     attrs, encoding = array.attrs, getattr(array, "encoding", {})
     declared: list[Any] = []
@@ -134,8 +129,7 @@ def _valid_range(
 ) -> tuple[tuple[float, float] | None, list[str]]:
     """Return the range of valid values, in the numbers of the array, and a note.
 
-    The range is in packed numbers, unless its type is wider than theirs (CF 1.11, 2.5.1).
-    `by_hand`: the attributes' scale has been applied, apparently to whole numbers.
+    It is in packed numbers, unless its type is wider than theirs (CF 1.11, 2.5.1).
     """
     ends = numbers_of(attrs.get("valid_range"))
     if len(ends) != 2:
