@@ -197,8 +197,8 @@ def silent_spools(grid, directory, loud=()):
         layout = page_layout(grid, head)
         for key in layout.keys:
             n_blocks = 1 if key.level < 0 else len(grid.children(key))
-            payload = b"loud" if key in loud else b""
-            spools[head].add(key, payload, 0, bytes(4 * n_blocks))
+            spools[head].add(key, b"loud" if key in loud else b"")
+            spools[head].codes[key] = bytes(4 * n_blocks)
     return spools
 
 
