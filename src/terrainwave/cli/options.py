@@ -161,9 +161,7 @@ def _declared(one: Field[Any]) -> Callable[[Any], Any]:
     return click.option(*given.pop("names"), one.name, help=one.metadata["help"], **given)
 
 
-# Types of options that several commands have.
 BOUND, POSITIVE, FINITE = OfKind(number(least=0)), OfKind(number(above=0)), OfKind(number())
-# For commands that make the page for browsers.
 PAGE_SEA_LEVEL_OPTION = click.option(
     "--sea-level",
     type=OfKind(SEA_LEVEL),

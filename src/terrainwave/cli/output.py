@@ -45,7 +45,6 @@ def print_error(message: object, error: BaseException | None = None) -> None:
 
 
 _printed_notes: dict[str, None] = {}  # in order
-# Fields of results that are lists of the package's sentences.
 _SENTENCES = ("notes", "problems")
 
 

@@ -28,9 +28,7 @@ _MISSING = (1 << 32) - 1
 _NAN = float("nan")
 _KINDS = ("height", "depth", "radius")
 
-# Row and column of a node among those of its height.
 Place = tuple[int, int]
-# Digests of nodes that have valid samples.
 Nodes = Mapping[Place, bytes]
 
 

@@ -108,8 +108,6 @@ class Container:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return segment
 
-    # Index
-
     def segment(self, head: Block | None) -> Segment:
         """Return the index of the segment of `head`; None is the top one."""
         return self.segments([head])[head]
@@ -193,8 +191,6 @@ class Container:
             yield segment
             children = segment.layout.children
             waiting += [child for child in children if segment.page_range(child).length]
-
-    # Payloads
 
     def payload(self, key: Block) -> bytes:
         """Return the payload of `key`; raise `CorruptStreamError` for a wrong checksum."""
@@ -285,8 +281,6 @@ class Container:
         found = ((segments[heads[key]], key) for key in keys)
         return [(segment, segment.layout.key_rows[key]) for segment, key in found]
 
-    # Digests
-
     def digests_place(self) -> ByteRange:
         """Return the position of the digests at the file's end; of length 0 if it has none."""
         size = self.extents.file_size
@@ -304,8 +298,6 @@ class Container:
         with self._blaming_change():
             data = self.source.read(*self.digests_place())
             return unpack_digests(data, (self.header.n_rows, self.header.n_cols))
-
-    # Check of the whole file
 
     def check(self) -> Iterator[str]:
         """Read every byte once and yield problems, one line each; nothing if the file is sound.
@@ -371,8 +363,6 @@ class Container:
                         check_crc(part, crcs[row], kind, segment.layout.keys[row])
                 except CorruptStreamError as error:
                     yield str(error)
-
-    # Closing
 
     def close(self) -> None:
         self._start = b""

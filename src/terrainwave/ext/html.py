@@ -21,7 +21,6 @@ from terrainwave.render.look.ramps import N_COLORS, ramp_colors
 from terrainwave.render.look.water import DEEP, find_water, may_have_water, waves_of
 from terrainwave.render.scene.frame import Frame, frame_of
 
-# Pixels of the picture's longer side.
 _SIDE = 320
 _VOID = 238
 # From the north-west, 45 degrees above the horizon, as is usual on maps.

@@ -29,7 +29,6 @@ from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
 _log = logging.getLogger(__name__)
 
-# File in every such folder.
 LIST = "terrains.json"
 _STATIC = Path(__file__).parent / "serve" / "static"
 # The reader's folders in js/ of the repository; an installed package has a copy.

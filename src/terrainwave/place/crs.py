@@ -101,5 +101,4 @@ def _say(crs: CRS) -> _Said:
     return _Said(text, back is not None and back.to_wkt() == own)
 
 
-# By the texts of a CRS.
 _SAID: Cache[tuple[str, ...], _Said] = Cache(64)

@@ -22,7 +22,6 @@ _KINDS = {
     "ProjectedCRS": PROJECTED,
     "DerivedProjectedCRS": PROJECTED,
 }
-# Members of a CRS that lead to the one with the axes.
 _INNER = ("source_crs", "base_crs")
 # Names of ellipsoidal vertical systems and datums, in GeoTIFF's keys and ESRI's WKT.
 _ELLIPSOIDAL = ("ellipsoid", "ellipsoidal")

@@ -14,15 +14,12 @@ from terrainwave.place.description import describe_quietly
 HEIGHT, DEPTH, RADIUS = "height", "depth", "radius"
 KINDS = (HEIGHT, DEPTH, RADIUS)
 PLURALS = {HEIGHT: "heights", DEPTH: "depths", RADIUS: "radii"}
-# An attribute of the CF conventions, and its values.
 POSITIVE, UP, DOWN = "positive", "up", "down"
-# Attributes of an array that a file keeps for its meaning.
 MARKS = (POSITIVE, "standard_name")
 # Names of the CF conventions, such as "depth_below_geoid". Other names with "depth" mean
 # thicknesses or depths below the ground, such as those of snow, soil, or the water table.
 _STANDARD_NAMES = re.compile(r"depth|depth_below_geoid|sea_?floor_depth(_below_\w+)?")
 _VARIABLES = re.compile(r"depths?|deptho|(sea_?floor|seabed|sea_bed)_depth(_below_\w+)?")
-# Plain titles; others do not count.
 _SEA = r"sea[ _-]?(floor|bed|level|surface)|seafloor|ocean floor|geoid|chart datum"
 _TITLES = re.compile(
     rf"((sea[ _-]?(floor|bed)|ocean floor) )?depths?( (below|under) .*({_SEA}).*)?"

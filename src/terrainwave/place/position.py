@@ -150,8 +150,6 @@ class Place:
                 stacklevel=3,
             )
 
-    # Around a point
-
     def latitude(self, x: float, y: float) -> float:
         """Return the latitude in degrees; of a derived system its own."""
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])

@@ -34,7 +34,6 @@ _GRIDS = re.compile(r"grids=(\S+)")
 _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
 # Description of heights computed from distances to the centre.
 RADII = "radii less those of the ellipsoid"
-# Missing files that a message names.
 _MOST_NAMED = 6
 
 

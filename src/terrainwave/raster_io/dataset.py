@@ -46,7 +46,6 @@ _DERIVED_TAGS = (
 )  # fmt: skip
 # netCDF's tags of a band with values that mark voids; GDAL uses one of them as nodata.
 _VOID_TAGS = ("_FillValue", "missing_value")
-# Number of names that a note lists.
 _N_NAMES = 4
 
 # Held while warning filters, which belong to the process, are changed.

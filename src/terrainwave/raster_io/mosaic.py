@@ -42,7 +42,6 @@ _ALIKE = {
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
-# Attributes of a raster that are taken as they are.
 _ASKED = (
     "name", "transform", "dtype", "undeclared", "has_mask", "block_shape", "crs", "is_lost",
     "earlier", "told",

@@ -69,7 +69,6 @@ _GDAL_NAMES = {
 }
 
 
-# Opens a .twz file, given by its path or already open, as a raster.
 OpenTerrain = Callable[..., RasterBackend]
 # Windows narrower than this fraction of the width decode mostly unwanted samples.
 _NARROW_COLS = 1024

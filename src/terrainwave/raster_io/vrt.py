@@ -23,9 +23,7 @@ from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
 _HEAD = b"<VRTDataset"
 # A file may begin with a byte order mark and an XML declaration.
 _HEAD_BYTES = 256
-# Largest VRT, in bytes, that is searched.
 _MOST_BYTES = 1 << 27
-# Largest depth of nested VRTs that are searched.
 _MOST_NESTED = 8
 _NAMES = ("SourceFilename", "SourceDataset")
 _DEPENDS = (

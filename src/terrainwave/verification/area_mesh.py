@@ -17,7 +17,6 @@ from terrainwave.verification.on_grid import (
 
 # Relative tolerance for decimal errors as float64.
 _SLACK = 1e-9
-# Samples per strip in which heights are read and compared.
 _STRIP_SAMPLES = 1 << 24
 
 ReadOriginal = Callable[[Region], tuple[NDArray[np.generic], NDArray[np.bool_]]]

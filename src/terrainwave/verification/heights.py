@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 
 # Largest number of problems of one kind that are listed; further ones are counted.
 _MAX_LISTED = 10
-# Largest number of damaged parts of a file that are listed.
 _MOST_LISTED = 100
 
 # An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.

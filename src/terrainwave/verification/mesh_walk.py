@@ -167,8 +167,6 @@ class MeshVerification:
                 Progress("verify meshes", self._n_done, self._n_total, self._n_done * itemsize)
             )
 
-    # Stored meshes
-
     def _visit(self, block: Block, chain: list[_Stated]) -> None:
         where = f"mesh of block {tuple(block)}"
         try:
@@ -250,8 +248,6 @@ class MeshVerification:
                 else:
                     where = f"meshes of blocks {tuple(block)} and {tuple(other)}"
                     self._checks.add(where, line_problems(kept, line))
-
-    # Meshes of areas
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:

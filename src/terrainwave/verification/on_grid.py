@@ -29,7 +29,6 @@ class QuantaScale:
         self._is_grid = header.rho == 0
         self._is_integer = np.dtype(terrain.dtype).kind in "iu"
         self._scale, self._offset = float(info.scale), float(info.offset)
-        # One quantum in physical units.
         self.quantum = float(info.quantum)
         # Heights off the grid are rounded to 1/16 quanta here.
         self.slack = 0 if self._is_grid else 1
@@ -73,9 +72,6 @@ class QuantaScale:
 
     def physical(self, sixteenths: float) -> float:
         return sixteenths / SIXTEENTHS * self.quantum
-
-
-# One block
 
 
 def block_surface(terrain: Any, block: Block) -> CheckedMesh:
@@ -142,9 +138,6 @@ def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
             n_inside += int(np.count_nonzero((at >= 0) & (places < stops[np.maximum(at, 0)])))
     if n_inside:
         yield f"{n_inside} vertices of a shared border lie inside an edge of the neighbour"
-
-
-# A mesh of an area
 
 
 def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:

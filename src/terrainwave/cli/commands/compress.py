@@ -184,7 +184,6 @@ def _compress_each(
     )  # fmt: skip
 
 
-# Options of the source.
 _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 
 

@@ -40,7 +40,6 @@ ASK_SECONDS = 10
 TAKE_SECONDS = 60
 # Seconds for the next request: a page asks again at once, and whoever comes later connects again.
 IDLE_SECONDS = 5
-# Seconds that answers on their way are given when the server ends.
 _GRACE_SECONDS = 2
 _LOOK_SECONDS = 1.0
 # struct linger of two ints, on Windows of two shorts: on, for no second.

@@ -30,7 +30,6 @@ from terrainwave.globe.terrain_rgb import Look
 _N_TILES = 32
 # Decoded heights that are kept of all files together, and of one at least.
 _CACHE_BYTES, _LEAST_CACHE_BYTES = 512 << 20, 16 << 20
-# Names that an answer lists.
 _N_NAMES = 10
 
 

@@ -14,7 +14,6 @@ from terrainwave.errors import InvalidArgumentError
 
 Network = IPv4Network | IPv6Network
 
-# Proxies on this machine.
 _LOOPBACK: tuple[Network, ...] = (IPv4Network("127.0.0.0/8"), IPv6Network("::1"))
 _HOST = re.compile(r"(?P<name>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
 # Without "%": a path that is decoded once more than it is checked could have other parts.

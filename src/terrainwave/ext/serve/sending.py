@@ -18,7 +18,6 @@ from terrainwave.ext.serve.byte_range import Span
 
 # Requests that wait for their turn: some seconds of work, after which a client would have given up.
 N_WAITING = 64
-# Bytes that are made at a time.
 PART = 1 << 20
 # Bytes that are made before they are asked for: as many as GDAL asks for at once.
 _AHEAD = 4 << 20

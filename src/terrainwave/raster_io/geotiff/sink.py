@@ -38,7 +38,6 @@ from terrainwave.raster_io.gdal import (
 from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
 from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
 
-# Side of a GeoTIFF's tile, in samples.
 TILE = 512
 
 # With fewer free bytes, a disk is tested by writing this many.

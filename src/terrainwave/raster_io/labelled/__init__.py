@@ -69,9 +69,6 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
     return LabelledArray(layer, transform, format_crs(crs), notes)
 
 
-# Variable.
-
-
 def variable_of(source: Any) -> Any:
     """Return the DataArray of heights: `source` itself, or its only variable of heights."""
     if hasattr(source, "to_dataset") and hasattr(source, "children"):
@@ -118,9 +115,6 @@ def _describing(dataset: Any) -> set[str]:
             for key in ("grid_mapping", "bounds", "climatology"):
                 names |= set(re.split(r"[\s:]+", str(fields.get(key, "")))) - {""}
     return names
-
-
-# Dimension.
 
 
 def _roles(array: Any, source: Any) -> dict[str, Any]:
