@@ -281,7 +281,6 @@ def _has_failed(outcome: _Outcome) -> bool:
 
 
 def _status(outcomes: Sequence[_Outcome]) -> int:
-    """Return 0, 1 if a job failed, 2 if the arguments fit none of the files."""
     if all(isinstance(outcome.error, InvalidArgumentError) for outcome in outcomes):
         return 2
     return int(any(map(_has_failed, outcomes)))

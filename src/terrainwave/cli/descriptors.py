@@ -94,7 +94,6 @@ def _mark_errors() -> None:
 
 
 def _substitute(number: int) -> TextIO:
-    """Return a stream of a descriptor that stays open as long as the process does."""
     if _NAMES[number] == "stdout":
         return _Lost(io.BufferedWriter(io.FileIO(number, "w", closefd=False)), encoding="utf-8")
     return open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)
@@ -110,7 +109,6 @@ def check_open(name: str) -> None:
 
 
 def discard_stdout() -> None:
-    """Send what stdout still holds nowhere: Python would try to write it again at its end."""
     with suppress(OSError, ValueError):
         handle = os.open(os.devnull, os.O_WRONLY)
         os.dup2(handle, sys.stdout.fileno())

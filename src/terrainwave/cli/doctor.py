@@ -97,7 +97,6 @@ def _ask(command: str) -> tuple[str | None, list[str], bool]:
 
 
 def _output(*command: str) -> list[str]:
-    """Return the lines that a command prints; an empty list if it cannot be run."""
     try:
         ended = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
@@ -156,7 +155,6 @@ def _advice(command: str | None, version: str | None, problems: list[str]) -> li
 
 
 def _has_plugin(folder: str, minor: str) -> bool:
-    """Return whether a folder has the driver; GDAL prefers a subfolder of its minor version."""
     own = os.path.join(folder, minor)
     try:
         names = os.listdir(own if os.path.isdir(own) else folder)

@@ -70,7 +70,6 @@ class Manifest:
             self._write(entry)
 
     def _source_states(self, source: str) -> list[list[Any]] | None:
-        """Return name, size and times of each file of a source; None if they are unknown."""
         from terrainwave.errors import TerrainwaveError
 
         try:
@@ -108,7 +107,6 @@ def _state(path: str) -> list[int]:
 
 
 def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
-    """Return the last entry of each target; malformed lines are ignored."""
     entries: dict[str, dict[str, Any]] = {}
     try:
         lines = path.read_text(encoding="ascii", errors="replace").splitlines()

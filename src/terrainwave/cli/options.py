@@ -193,7 +193,6 @@ def check_one_area(options: dict[str, Any]) -> None:
 def add_options(
     command: Callable[..., Any], *options: Callable[[Callable[..., Any]], Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Return a decorator that adds options to a command; help lists the last one first."""
     for option in options:
         command = option(command)
     return command

@@ -95,7 +95,6 @@ def warnings_as_notes() -> Iterator[None]:
 
 @functools.cache
 def own_sets() -> list[type["OptionSet"]]:
-    """Return the classes of options that -o takes: of methods and of kinds of meshes."""
     from terrainwave.codec import method_options
     from terrainwave.names import MESH_KINDS, METHODS
     from terrainwave.tri import mesh_options
@@ -128,12 +127,10 @@ class Command(click.Command):
     has_target = True
 
     def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
-        """Return the first sentence of the help, for the list of commands."""
         sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
         return " ".join(sentence.split()).rstrip(".") + "."
 
     def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
-        """Return the command whose help explains `message`."""
         return f"{ctx.command_path} --help"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -304,7 +301,6 @@ class Bar:
         )
 
     def echo(self, line: str) -> None:
-        """Print a line on stdout, above the bar if both are on the same terminal."""
         if self._bar is not None and sys.stdout.isatty():
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
         else:
@@ -378,7 +374,6 @@ def print_table(rows: list[tuple[str, object]]) -> None:
 
 
 def print_grid(header: list[str], rows: list[list[str]]) -> None:
-    """Print a table of numbers with a header."""
     from rich.table import Table
     from rich.text import Text
 
@@ -415,7 +410,6 @@ def _in_options(fields: dict[str, Any]) -> Any:
 
 
 def plain_json(value: Any) -> Any:
-    """Return `value` with strings for the numbers that JSON lacks."""
     if isinstance(value, dict):
         return {name: plain_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -426,7 +420,6 @@ def plain_json(value: Any) -> Any:
 
 
 def unit_behind(units: str | None) -> str:
-    """Return the unit to print after a height; "" if it is unknown."""
     return f" {plain(units)}" if units else ""
 
 

@@ -104,7 +104,6 @@ class CommandWithOwnOptions(Command):
         return f"{ctx.command_path} {words} --help"
 
     def _given(self, ctx: click.Context) -> dict[str, Any]:
-        """Return the arguments as far as they can be parsed, before values are checked."""
         args = list(ctx.meta.get(_ARGUMENTS, []))
         for known in (args, args[:-1]):  # the last option may lack its value
             with suppress(click.UsageError):

@@ -15,7 +15,6 @@ _KEY = "terrainwave.stdin"
 
 
 def read_stream(ctx: click.Context) -> str:
-    """Copy stdin to a temporary file, removed when the command ends; return its path."""
     if ctx.meta.get(_KEY):
         raise click.UsageError("found - twice, expected one: stdin can be read once", ctx)
     ctx.meta[_KEY] = True

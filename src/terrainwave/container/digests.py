@@ -77,7 +77,6 @@ class TileDigests:
                 self._leaves[leaf] = _node(self._tiles.pop(leaf), leaf, _counts(self._shape, 0))
 
     def tree(self) -> "DigestTree":
-        """Return the tree of all tiles; missing tiles have no valid samples."""
         counts = _counts(self._shape, 0)
         rest = {leaf: _node(tiles, leaf, counts) for leaf, tiles in self._tiles.items()}
         return DigestTree(self._shape, self._leaves | rest)
@@ -101,7 +100,6 @@ class DigestTree:
         return self._levels[-1].get((0, 0), VOID)
 
     def root(self, header: Header) -> str:
-        """Return the root in hexadecimal: the top with meaning and position of the heights."""
         return hashlib.sha256(_ROOT + _description(header) + self.top).hexdigest()
 
     def differences(self, other: "DigestTree") -> Iterator[Region]:
@@ -126,7 +124,6 @@ def section_length(tail: bytes) -> int:
 
 
 def unpack_digests(section: bytes, shape: tuple[int, int]) -> DigestTree:
-    """Read a section; the inverse of `DigestTree.pack`."""
     crc, n_digests = _TAIL.unpack(section[-TAIL_LENGTH:])
     body = section[:-TAIL_LENGTH]
     if zlib.crc32(body) != crc or len(body) != len(VOID) * n_digests:

@@ -147,7 +147,6 @@ class Header:
 
     @property
     def bound_side(self) -> str:
-        """Return the side of originals on which heights lie: both, above or below."""
         found = self.metadata.get("bound")
         return str(found) if found in SIDES else BOTH
 
@@ -355,7 +354,6 @@ def _check_version(data: bytes, stored: int) -> None:
 
 
 def check_optional_sections(data: bytes) -> None:
-    """Check the sections at the end of a header; no reader needs them (FORMAT.md §4.8)."""
     names, at = set[bytes](), 0
     while at < len(data):
         start = at + _SECTION.size

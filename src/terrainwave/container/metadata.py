@@ -27,7 +27,6 @@ _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
 def pack_metadata(metadata: dict[str, object]) -> bytes:
-    """Return the deflated bytes of `metadata`: sorted keys, so equal metadata give equal bytes."""
     try:
         text = json.dumps(
             metadata, sort_keys=True, ensure_ascii=False, allow_nan=False, separators=(",", ":")

@@ -130,7 +130,6 @@ class Page:
 
 
 def empty_page(layout: PageLayout) -> Page:
-    """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
     n_keys, n_blocks, n_children = map(len, layout)
     return Page(
         payload_lengths=np.zeros(n_keys, dtype=np.uint32),
@@ -145,7 +144,6 @@ def empty_page(layout: PageLayout) -> Page:
 
 
 def pack_columns(page: Page) -> bytes:
-    """Return the deflated columns of `page` except `first_child` (FORMAT.md §3.3)."""
     columns = (
         _pack_planes(page.payload_lengths, "<u4"),
         _pack_planes(page.mesh_lengths, "<u4"),

@@ -21,7 +21,6 @@ class Parts:
 
 
 def parts_of(container: Container) -> Parts:
-    """Return the bytes of each part; reads all index pages."""
     extents = container.extents
     index, meshes = extents.top_page_length, 0
     heights = [0] * (container.grid.k_max + 1)

@@ -109,7 +109,6 @@ class Container:
         return segment
 
     def segment(self, head: Block | None) -> Segment:
-        """Return the index of the segment of `head`; None is the top one."""
         return self.segments([head])[head]
 
     def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
@@ -219,7 +218,6 @@ class Container:
         return [payloads[key] for key in keys]
 
     def rounds(self) -> RoundReader:
-        """Return a reader of ranges in rounds, which has the file's beginning already."""
         return RoundReader(self.source, self._start)
 
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:

@@ -75,7 +75,6 @@ class LikeSegment(NamedTuple):
     head: Block
 
     def key_there(self, key: Block, head: Block) -> Block:
-        """Return the key there that corresponds to a key in the segment of `head`."""
         depth = key.level - head.level
         row, col = self.head.row - head.row << depth, self.head.col - head.col << depth
         return Block(key.level, key.row + row, key.col + col)

@@ -154,7 +154,6 @@ def append_digests(
 
 
 def stored_segment(grid: Grid, head: Block, spool: SegmentSpool) -> StoredSegment:
-    """Return a complete segment without child segments in a form that takes little memory."""
     part = _extent(grid, head, spool, ())
     page = pack_page(part.columns, 0) if part.length else b""
     return spool.stored(page, page_layout(grid, head).keys_in_file)

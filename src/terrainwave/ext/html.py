@@ -33,7 +33,6 @@ _LONGEST_TEXT = 200
 
 
 def terrain_html(terrain: TerrainFile) -> str:
-    """Return the HTML for a notebook: picture, size, bound, levels and position."""
     try:
         data = base64.b64encode(encode_png(picture(terrain))).decode()
         image = (

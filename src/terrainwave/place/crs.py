@@ -66,7 +66,6 @@ def format_crs(crs: CRS | None) -> str | None:
 
 
 def is_exact(crs: CRS | None) -> bool:
-    """Return whether the text of `format_crs` gives the same system back."""
     return _said_of(crs).is_exact if crs else True
 
 

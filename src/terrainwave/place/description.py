@@ -145,7 +145,6 @@ def read_projjson(told: dict[str, Any]) -> Description:
 
 
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
-    """Return name and compound CRS, as a text for GDAL, of a vertical CRS that only one has."""
     told = [crs.to_dict(projjson=True) for crs in (one, other)]
     for compound, plain in (told, told[::-1]):
         parts = compound.get("components", [])
@@ -214,7 +213,6 @@ def _vertical(vertical: dict[str, Any] | None, axes: list[dict[str, Any]]) -> Ve
 
 
 def _radius(told: dict[str, Any]) -> float | None:
-    """Return the semi-major axis of a CRS's ellipsoid in metres, or of its base system."""
     for owner in (told.get("datum"), told.get("datum_ensemble")):
         ellipsoid = (owner or {}).get("ellipsoid", {})
         axis = ellipsoid.get("semi_major_axis", ellipsoid.get("radius"))

@@ -196,7 +196,6 @@ def _is_near(metres: float, radius: float) -> bool:
 
 
 def _radius_of_body(crs_text: str | None) -> float:
-    """Return the radius of the CRS's body in metres; 0 for small bodies, and without a CRS."""
     body = describe_quietly(crs_text)
     radius = 0.0 if body is None else body.radius or 0.0
     return radius if radius > _LEAST_BODY else 0.0

@@ -82,7 +82,6 @@ class Place:
 
     @property
     def is_plain(self) -> bool:
-        """Return whether x and y are longitude and latitude, not those of a rotated pole."""
         return self.kind == GEOGRAPHIC
 
     @property
@@ -151,7 +150,6 @@ class Place:
             )
 
     def latitude(self, x: float, y: float) -> float:
-        """Return the latitude in degrees; of a derived system its own."""
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])
 
     def local_axes(self, x: float, y: float, *, most: float | None = None) -> LocalAxes:

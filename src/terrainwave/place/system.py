@@ -110,7 +110,6 @@ def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_of(crs_text: str | None) -> System | None:
-    """Return the system of a CRS; None, with a warning, if it cannot be parsed."""
     description = describe_crs(crs_text)
     if crs_text is None or description is None:
         return None

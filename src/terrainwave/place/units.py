@@ -92,7 +92,6 @@ class HeightUnit(NamedTuple):
         return self.kind == RADIUS
 
     def note_kind(self) -> None:
-        """Warn that numbers are depths, which are turned to go down, or radii."""
         if self.is_radius:
             words = "the numbers are radii; heights are what they have beyond the body's own radius"
         elif not self.is_depth:
@@ -107,7 +106,6 @@ class HeightUnit(NamedTuple):
 
     @property
     def of_crs(self) -> str | None:
-        """Return the CRS's unit if the band names another one."""
         if self.source != BAND or self.vertical is None or self._is_the_same_name:
             return None
         return None if _is_same(self.length, self.vertical.metres) else self.vertical.unit

@@ -38,7 +38,6 @@ _MOST_NAMED = 6
 
 
 def note_as_is(crs_text: str | None) -> None:
-    """Warn if heights above a geoid, or depths, are taken for heights above the ellipsoid."""
     told = vertical_of(crs_text)
     if told is None or told.is_ellipsoidal:
         return
@@ -137,7 +136,6 @@ class EllipsoidalHeights:
 
 
 def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
-    """Return the conversion of radii to heights above the ellipsoid of the raster's own CRS."""
     if place.system is None:
         raise InvalidHeightsError(
             "the raster has no coordinate reference system, so that nothing tells the radius of its"

@@ -68,7 +68,6 @@ class RasterBackend:
         return None
 
     def declared_voids(self, window: Region, heights: NDArray[Any]) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Return which heights of a window have one of the values of `undeclared`."""
         return np.isin(heights, [stored_nodata(value, self.dtype) for value in self.undeclared])
 
     def parts(

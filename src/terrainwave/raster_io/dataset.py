@@ -108,7 +108,6 @@ def refuse_raster(target: str | os.PathLike[str]) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return GDAL's reason for a failed read, with advice for a VRT of many sources."""
     reason = one_line(error)
     if os.strerror(errno.EMFILE) in reason:
         reason += (
@@ -119,7 +118,6 @@ def _reason(error: BaseException) -> str:
 
 
 def is_twz(path: str | os.PathLike[str]) -> bool:
-    """Return whether a local file is a terrainwave file, by its first bytes."""
     try:
         with Path(path).open("rb") as file:
             return b"TWZ" in file.read(8).upper()
@@ -170,7 +168,6 @@ def _other_places(dataset: Any) -> list[str]:
 
 
 def _stamp(dataset: Any) -> tuple[int, ...] | None:
-    """Return the identity of a local GeoTIFF's contents; None for other datasets."""
     try:
         found = os.stat(dataset.name)
     except (OSError, ValueError):

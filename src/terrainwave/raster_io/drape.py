@@ -155,11 +155,9 @@ class Photo:
 
     @property
     def credit(self) -> str | None:
-        """Return the server of the tiles; None for a file."""
         return urlsplit(self._path).hostname if self.has_tiles else None
 
     def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
-        """Return width and height, in texels, of the whole photo within these limits."""
         _, _, n_cols, n_rows = self.place
         max_side = min(max_side, _MOST_TILED) if self.has_tiles else max_side
         return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
@@ -383,7 +381,6 @@ def _overlap(
 def _texels_per_pixel(
     placed: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
 ) -> tuple[float, float]:
-    """Return the photo's pixels per grid pixel along a row and along a column, near a point."""
     near = ((row, col), (row, col + 1), (row + 1, col))
     places = [pixels_to_places(grid, *pixel) for pixel in near]
     xs, ys = transform(grid_crs, photo_crs, *zip(*places, strict=True))

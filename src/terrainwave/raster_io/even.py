@@ -135,7 +135,6 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def are_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
-    """Say which values are a value of their type bit for bit, as `is_same` does."""
     bits = f"u{values.dtype.itemsize}"
     return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)
 

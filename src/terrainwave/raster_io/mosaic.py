@@ -120,7 +120,6 @@ class _Description(NamedTuple):
         return height_unit(self.tags["units"], self.tags["crs"])
 
     def on_grid_of(self, first: Self) -> Self:
-        """Return the raster in the order of rows and columns of `first`, if possible."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
         for turn in ORIENTATIONS:
             transform = turn.of_transform(self.transform, self.shape)
@@ -244,7 +243,6 @@ class MosaicBackend(RasterBackend):
         )
 
     def _backend(self, source: Any) -> RasterBackend:
-        """Return an open raster; the least recently read file is closed if there are too many."""
         if not isinstance(source, str | os.PathLike):
             return self._open_member(source)
         return self._open.get_or_make(os.fspath(source), lambda: self._open_member(source))

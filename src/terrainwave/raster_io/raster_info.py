@@ -101,7 +101,6 @@ class RasterInfo:
 
     @property
     def told(self) -> Told:
-        """Return the meaning of the numbers by the band's own tags and names."""
         names = Names(None, self.description, is_length(self.units))
         return told_by(dict(self.band_tags), names, self.crs)
 
@@ -144,7 +143,6 @@ class RasterInfo:
         return parse_crs(self.crs)
 
     def to_metadata(self) -> dict[str, Any]:
-        """Return plain values for JSON; numbers that JSON lacks become "nan", "inf", "-inf"."""
         fields = asdict(self)
         fields["nodata"] = _number_to_plain(self.nodata)
         fields["transform"] = list(self.transform)

@@ -55,7 +55,6 @@ def path_of(element: ET.Element, folder: str) -> str:
 
 
 def is_warped(dataset: Any) -> bool:
-    """Return True for a VRT that is warped when it is read, exactly or not."""
     return "VRTWarpedDataset" in text_of(dataset)[:1000]
 
 
@@ -172,7 +171,6 @@ class Unreported(NamedTuple):
 
 
 def unreported(dataset: Any, band: int) -> Unreported:
-    """Return the facts about a dataset's CRS and a band that rasterio does not report."""
     try:
         root = ET.fromstring(_vrt_of(dataset))
     except (*GDAL_ERRORS, ET.ParseError, UnicodeError):

@@ -216,7 +216,6 @@ class MeshVerification:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
     def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
-        """Check a finest mesh against the decoded heights that it is made from."""
         raw, valid = self._terrain.read_with_mask(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
         errors = deviation(

@@ -104,7 +104,6 @@ def _differences(original: np.ndarray, decoded: np.ndarray, both: np.ndarray) ->
 def _small_differences(
     original: np.ndarray, decoded: np.ndarray, both: np.ndarray, *, is_whole: bool
 ) -> np.ndarray:
-    """Return the same for integers of up to 16 bits, as int32: three times as fast."""
     differences: np.ndarray = np.subtract(decoded, original, dtype=np.int32)
     if not is_whole:
         np.copyto(differences, 0, where=~both)

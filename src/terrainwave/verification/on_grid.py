@@ -111,7 +111,6 @@ class BorderLine(NamedTuple):
 
 
 def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
-    """Return the line at row (`axis` 0) or column (1) `at`, in half samples."""
     across, along = (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
     on = np.flatnonzero(across == at)
     order = on[np.argsort(along[on], kind="stable")]

@@ -93,7 +93,6 @@ class Original:
         return height_unit(units, format_crs(self.dataset.crs))
 
     def kind_problem(self, terrain: Any) -> str | None:
-        """Return the problem if it and the file have two of heights, depths and radii."""
         crs_text, is_asked = format_crs(self.dataset.crs), self._asked_kind is not None
         told: Told | None = Told(self._asked_kind, "`heights_are`")
         if not is_asked:
@@ -119,7 +118,6 @@ class Original:
         return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
 
     def area_or_point(self) -> str:
-        """Return GDAL's tag; Area is its default."""
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
@@ -245,6 +243,5 @@ def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
 
 
 def as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
-    """Return the float that means `nodata` in a file of `dtype`."""
     with np.errstate(over="ignore", under="ignore"):
         return np.float64(nodata).astype(dtype)

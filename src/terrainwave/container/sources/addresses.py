@@ -118,7 +118,6 @@ def is_signed(url: str) -> bool:
 
 
 def has_expired(url: str, reply: str) -> bool:
-    """Return whether a refused URL has expired, by its query or by the reply's text."""
     if _TELLS_EXPIRY.search(reply):
         return True
     end = _end(_parameters(url)) if is_signed(url) else None

@@ -41,7 +41,6 @@ class ByteSource:
         return [reader.take(wanted) for wanted in ranges]
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; each is one request."""
         for span in spans:
             self._check_range(*span)
         return self._read_spans(spans)
@@ -70,7 +69,6 @@ class ByteSource:
 
     @property
     def version(self) -> str:
-        """Return an identity of this version of the bytes, if any; it is compared with the size."""
         return ""
 
     def close(self) -> None:
@@ -147,7 +145,6 @@ class FileSource(BufferSource):
 
     @property
     def version(self) -> str:
-        """Return the file's identity and time of change, which programs cannot set."""
         if self._file is None:
             return ""
         found = os.fstat(self._file.fileno())

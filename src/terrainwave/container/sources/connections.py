@@ -234,7 +234,6 @@ def _cause(error: BaseException) -> Exception:
 
 
 def proxy_of(url: SplitResult) -> str | None:
-    """Return the proxy to a server by the environment or the system."""
     proxies = urllib.request.getproxies()
     proxy = proxies.get(url.scheme) or proxies.get("all")
     if not proxy or _is_near(url, proxies.get("no", "")):

@@ -496,7 +496,6 @@ class FsspecSource(_UrlSource):
         return self._version or ""
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the file has changed since it was opened: one request."""
         info = self._info()
         if (info.get("size"), _version_of(info)) != (self.size, self._version):
             raise _changed(self.name)

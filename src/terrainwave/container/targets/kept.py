@@ -319,7 +319,6 @@ def _remove(path: Path) -> None:
 
 
 def _remove_others(directory: Path) -> None:
-    """Remove temporary files of a killed run from a directory."""
     for path in directory.iterdir():
         if path.name != _JOURNAL and path.suffix != _ARRAY:
             if path.is_dir() and not path.is_symlink():

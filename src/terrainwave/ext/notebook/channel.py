@@ -123,7 +123,6 @@ def read_ranges(source: ByteSource, question: Question) -> Answer:
 
 
 def _checked_range(given: object, size: int) -> ByteRange:
-    """Return a range of the file; whole numbers in JSON are ints."""
     if isinstance(given, list) and [type(end) for end in given] == [int, int]:
         start, end = given
         if 0 <= start < end <= size:

@@ -19,7 +19,6 @@ def widget_module() -> str:
 
 @cache
 def page_files() -> dict[str, bytes]:
-    """Return {name as in a published folder: text, compressed by gzip}."""
     reader = reader_directory()
     paths = {f"static/{_below(_STATIC, path)}": path for path in _STATIC.rglob("*")}
     for name in ("src", "map"):

@@ -30,7 +30,6 @@ def describe(
     # `ramp_colors`
     sea_level: float | str = AUTO,
 ) -> dict[str, Any]:
-    """Return a file's fields for the page; no path. Its tags may hold any text."""
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
     sea = sea_level if is_earth and sea_level != NO_SEA else None

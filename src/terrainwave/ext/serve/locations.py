@@ -37,7 +37,6 @@ class Locations(NamedTuple):
 
 
 def locations_of(asked: Any, interpolation: Any = None) -> Locations:
-    """Return places of ``lat,lon|lat,lon``, or of objects with latitude and longitude."""
     if interpolation not in (None, "bilinear"):
         raise BadLocationsError(f"found interpolation {shown(interpolation)}, expected bilinear")
     parts = asked.split("|") if isinstance(asked, str) else asked
@@ -80,7 +79,6 @@ def _degrees(name: str, value: Any, most: int, number: int) -> float:
 
 
 async def read_body(stream: AsyncIterator[bytes]) -> bytes:
-    """Return the body of a request, of at most `MAX_BODY` bytes in `ASK_SECONDS`."""
     body = bytearray()
     try:
         async with asyncio.timeout(client_limits.ASK_SECONDS):
@@ -96,7 +94,6 @@ async def read_body(stream: AsyncIterator[bytes]) -> bytes:
 
 
 def fields_of(body: bytes, media_type: str) -> dict[str, Any]:
-    """Return the fields of a body: an object in JSON, or a form by its media type."""
     try:
         if media_type.split(";")[0].strip().lower() == "application/x-www-form-urlencoded":
             return {name: values[-1] for name, values in parse_qs(body.decode()).items()}

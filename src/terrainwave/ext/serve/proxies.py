@@ -33,7 +33,6 @@ class PublicUrl(NamedTuple):
 
 
 def public_url(text: str) -> PublicUrl:
-    """Return an address that a user gives: http or https with a host and, at most, a path."""
     try:
         parts = urlsplit(text)
     except ValueError:  # brackets that do not pair, or hold no address
@@ -49,7 +48,6 @@ def public_url(text: str) -> PublicUrl:
 
 
 def network_of(text: str) -> Network:
-    """Return the network of an address such as 10.0.0.7 or 10.0.0.0/8."""
     try:
         return ip_network(text, strict=False)
     except ValueError as error:

@@ -27,7 +27,6 @@ _OF_TWZ = ("TERRAINWAVE", "json:TERRAINWAVE", "IMAGE_STRUCTURE")
 
 
 def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, float | None]:
-    """Return the CRS, the band's unit and the epoch that GDAL finds, in the .aux.xml first."""
     with bounded_env(), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with rasterio.open(path) as dataset:

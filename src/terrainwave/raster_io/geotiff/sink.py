@@ -68,7 +68,6 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
 
 
 def band_tags_of(info: RasterInfo) -> dict[str, str]:
-    """Return the band's tags with the meaning of its numbers; own tags take precedence."""
     tags = dict(writable_tags(info.band_tags))
     if info.heights_are in (DEPTH, HEIGHT):
         tags = {name: value for name, value in tags.items() if name.lower() != POSITIVE}
@@ -187,7 +186,6 @@ class RasterSink:
         return dataset
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
-        """Yield windows of whole tiles that cover the grid once, in file order."""
         info = self.info
         yield from scan_windows(info.n_rows, info.n_cols, TILE, TILE, max_samples)
 

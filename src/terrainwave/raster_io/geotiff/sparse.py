@@ -196,7 +196,6 @@ def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: 
 
 
 def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bool) -> None:
-    """Set the values of an entry; several values are stored at the end of the head."""
     data = values.astype("<u8" if is_big else "<u4").tobytes()
     link = "<Q" if is_big else "<I"
     struct.pack_into("<H", head, entry.place + 2, 16 if is_big else 4)

@@ -36,7 +36,6 @@ class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
         self._lock = threading.Lock()
 
     def open(self, driver: str | None = None, sharing: bool = False, **options: Any) -> Any:
-        """Open the GeoTIFF with rasterio, which calls this."""
         # A unique name: openers are identified by names.
         name = self.name.rsplit("/", 1)[-1]
         return rasterio.open(name, driver=driver, sharing=sharing, opener=self.opener, **options)

@@ -118,7 +118,6 @@ def _describing(dataset: Any) -> set[str]:
 
 
 def _roles(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions x and y as far as stated, by the strongest sign."""
     roles = _by_accessor(array, source)
     for sign in (by_axis, by_standard_name, by_units, None, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}
@@ -155,7 +154,6 @@ def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _unnamed(array: Any, roles: dict[str, Any], *, may_guess: bool) -> dict[str, Any]:
-    """Return the roles of unnamed dimensions, by positions of samples or their order."""
     dims = tuple(dim for dim in array.dims if dim != "band")
     places = places_of(array)
     if places is not None:

@@ -94,7 +94,6 @@ def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
 
 
 def stored_transform(array: Any) -> Transform | None:
-    """Return the transform stored with the CRS, in the order of `affine`."""
     text = str(mapping_of(array).get("GeoTransform", "")).split()
     if len(text) != 6:
         return None
@@ -113,7 +112,6 @@ class ToldTransform(NamedTuple):
 
 
 def told_transform(array: Any, source: Any) -> ToldTransform | None:
-    """Return the attribute `transform`, as stackstac writes it and rasterio orders it."""
     for owner in (array, source):
         attrs = getattr(owner, "attrs", {})
         value = attrs.get("transform")
@@ -246,7 +244,6 @@ def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.gen
 
 
 def _reader(places: tuple[Any, Any], dims: tuple[Any, Any]) -> Any:
-    """Return a function that returns x and y of some rows."""
     turned = [place.transpose(*dims) for place in places]
     return lambda row, n: tuple(place[row : row + n].values for place in turned)
 

@@ -51,7 +51,6 @@ def _is_as_opened(dtype: Any, encoding: Any) -> bool:
 
 
 def numbers_of(value: Any) -> list[int | float]:
-    """Return the numbers of an attribute, which may be one, several, or text."""
     if value is None or isinstance(value, bool):
         return []
     with contextlib.suppress(TypeError, ValueError):
@@ -117,7 +116,6 @@ def voids_of(array: Any, band: int, packing: Packing) -> Voids:
 
 
 def _is_unsigned(fields: Any) -> bool:
-    """Return whether netCDF-3's convention for unsigned types is used."""
     return str(fields.get("_Unsigned", "")).lower() == "true"
 
 
