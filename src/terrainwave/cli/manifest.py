@@ -16,8 +16,6 @@ from typing import Any
 from terrainwave.progress import ProgressCallback
 
 NAME = ".terrainwave-manifest.jsonl"
-# With more lines per target than this, the file is rewritten.
-_MOST_LINES = 100
 UNKNOWN = "no manifest says what it was made of"
 
 # Takes source, target, and the difference found by the manifest; returns why the target is not what
@@ -84,7 +82,7 @@ class Manifest:
     def _write(self, entry: dict[str, Any]) -> None:
         """Append a line; without it, the next run compares the files themselves."""
         # The line feed comes first: a truncated line spoils no other.
-        line = "\n" + _line(entry)
+        line = "\n" + json.dumps(entry, ensure_ascii=True, sort_keys=True)
         with self._lock:
             self._entries[entry["target"]] = entry
             with suppress(OSError), self._path.open("a", encoding="ascii") as file:
@@ -117,19 +115,4 @@ def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
             entry = json.loads(line)
             if isinstance(entry, dict) and isinstance(entry.get("target"), str):
                 entries[entry["target"]] = entry
-    if len(lines) > _MOST_LINES + 4 * len(entries):
-        _shorten(path, entries)
     return entries
-
-
-def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
-    """Keep one line per target. Targets that another run adds meanwhile are compared again."""
-    from terrainwave.container.targets.publication import publish
-    from terrainwave.errors import StorageError
-
-    with suppress(StorageError), publish(path, overwrite=True) as part:
-        part.file.write("\n".join(map(_line, entries.values())).encode("ascii"))
-
-
-def _line(entry: dict[str, Any]) -> str:
-    return json.dumps(entry, ensure_ascii=True, sort_keys=True)

@@ -4,8 +4,8 @@ Walks the blocks of all levels depth first and holds a chain of ancestors, one w
 and the border lines of blocks with pending neighbours.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
@@ -88,26 +88,6 @@ class _Stated(NamedTuple):
     error: float
 
 
-@dataclass
-class Checks:
-    """Problems, shortened to the first ones."""
-
-    problems: list[str] = field(default_factory=list)
-    n_left_out: int = 0
-
-    def add(self, where: str, problems: Iterator[str] | list[str]) -> None:
-        for problem in problems:
-            if len(self.problems) < _MAX_LISTED:
-                self.problems.append(f"{where}: {problem}")
-            else:
-                self.n_left_out += 1
-
-    def all(self) -> list[str]:
-        if not self.n_left_out:
-            return self.problems
-        return [*self.problems, f"… and {self.n_left_out} more problems of meshes"]
-
-
 class MeshVerification:
     """The checks of one file's meshes.
 
@@ -130,7 +110,8 @@ class MeshVerification:
         self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
         self._what = "heights" if read else "decoded heights"
-        self._checks = Checks()
+        self._problems: list[str] = []
+        self._n_problems = 0
         self._lines: dict[tuple[Block, int], BorderLine] = {}
         n_levels = terrain.n_levels
         self._n_blocks, self._n_triangles = [0] * n_levels, [0] * n_levels
@@ -157,7 +138,16 @@ class MeshVerification:
             for level in range(terrain.n_levels if has_stored else 0)
         )
         against = "original" if self._has_original else "decoded"
-        return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
+        if self._n_problems > _MAX_LISTED:
+            n_more = self._n_problems - _MAX_LISTED
+            self._problems.append(f"… and {n_more} more problems of meshes")
+        return MeshReport(terrain.mesh_kind, against, levels, areas), self._problems
+
+    def _add(self, where: str, problems: Iterable[str]) -> None:
+        for problem in problems:
+            self._n_problems += 1
+            if self._n_problems <= _MAX_LISTED:
+                self._problems.append(f"{where}: {problem}")
 
     def _report(self, n_samples: int) -> None:
         self._n_done += n_samples
@@ -171,11 +161,11 @@ class MeshVerification:
         where = f"mesh of block {tuple(block)}"
         try:
             surface = block_surface(self._terrain, block)
-            self._checks.add(where, block_problems(self._terrain, block, surface))
+            self._add(where, block_problems(self._terrain, block, surface))
             self._check_lines(block, surface)
             stated = self._terrain.mesh_error(block)
         except TerrainwaveError as error:
-            self._checks.add(where, [str(error)])
+            self._add(where, [str(error)])
             return
         self._stored[block.level] = max(self._stored[block.level], stated)
         self._n_blocks[block.level] += 1
@@ -189,7 +179,7 @@ class MeshVerification:
             try:
                 self._measure(region, chain)
             except CorruptStreamError as error:
-                self._checks.add(where, [str(error)])
+                self._add(where, [str(error)])
             self._report(region.n_rows * region.n_cols)
 
     def _measure(self, region: Region, chain: list[_Stated]) -> None:
@@ -207,13 +197,13 @@ class MeshVerification:
             )
             self._measured[block.level] = max(self._measured[block.level], errors.worst)
             where = f"mesh of block {tuple(block)}"
-            self._checks.add(where, error_problems(self._ruler, errors, stored, region, self._what))
+            self._add(where, error_problems(self._ruler, errors, stored, region, self._what))
             # Coarse meshes lie over all valid samples below them.
             wanted = must_be_covered(valid) if block.level == self._grid.k_max else valid
             if min(valid.shape) > 1:
-                self._checks.add(where, missing_samples(errors, wanted, region))
+                self._add(where, missing_samples(errors, wanted, region))
             if block.level == self._grid.k_max and not self._is_unbounded:
-                self._checks.add(where, self._tolerance_problems(surface, region))
+                self._add(where, self._tolerance_problems(surface, region))
 
     def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
         raw, valid = self._terrain.read_with_mask(region)
@@ -246,7 +236,7 @@ class MeshVerification:
                     self._lines[upper, axis] = line
                 else:
                     where = f"meshes of blocks {tuple(block)} and {tuple(other)}"
-                    self._checks.add(where, line_problems(kept, line))
+                    self._add(where, line_problems(kept, line))
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
@@ -276,11 +266,11 @@ class MeshVerification:
                     terrain, mesh, region, max_error, self._read if self._has_original else None
                 )
             except TerrainwaveError as error:
-                self._checks.add(where, [str(error)])
+                self._add(where, [str(error)])
                 continue
             finally:
                 self._report(region.n_rows * region.n_cols)
-            self._checks.add(where, problems)
+            self._add(where, problems)
             n_triangles += mesh.n_triangles
             stated, measured = max(stated, mesh.error), max(measured, worst)
         return AreaMeshes(max_error, optimise, n_windows, n_triangles, stated, measured)
