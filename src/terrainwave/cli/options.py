@@ -6,6 +6,7 @@ from dataclasses import Field
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from terrainwave.arguments import (
@@ -183,6 +184,14 @@ LEVEL_OPTION = click.option(
     default=-1,
     help="Level of detail: -1 is the full grid (default), -2 half of it, 0 the coarsest.",
 )
+
+
+def on_command_line() -> set[str]:
+    """Return the names of the parameters that the command line gives."""
+    ctx = click.get_current_context()
+    return {
+        name for name in ctx.params if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    }
 
 
 def check_one_area(options: dict[str, Any]) -> None:

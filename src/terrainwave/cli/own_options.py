@@ -10,9 +10,9 @@ from contextlib import suppress
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import one_of
+from terrainwave.cli.options import on_command_line
 from terrainwave.cli.output import Command, own_sets
 from terrainwave.codec.method_options import chosen
 from terrainwave.errors import InvalidArgumentError
@@ -65,9 +65,12 @@ def _refuse(
     of_command = [each for each in own_sets() if each.argument in options]
     having = [each for each in of_command if name in each.names()]
     if having:
-        argument, ctx = having[0].argument, click.get_current_context()
-        is_typed = ctx.get_parameter_source(argument) is ParameterSource.COMMANDLINE
-        found = f"`{argument}` {ctx.params[argument]}" if is_typed else f"no `{argument}`"
+        argument, params = having[0].argument, click.get_current_context().params
+        found = (
+            f"`{argument}` {params[argument]}"
+            if argument in on_command_line()
+            else f"no `{argument}`"
+        )
         raise InvalidArgumentError(
             f"found {typed} and {found}, expected `{argument}` {one_of([h.name for h in having])}"
         )

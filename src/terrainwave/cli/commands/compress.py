@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS
 from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
@@ -18,6 +17,7 @@ from terrainwave.cli.options import (
     batched,
     complete_files,
     declared,
+    on_command_line,
     resumable,
     writing,
 )
@@ -101,8 +101,7 @@ def compress(
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     if no_mesh:
-        mesh_from = click.get_current_context().get_parameter_source("mesh")
-        if mesh_from is ParameterSource.COMMANDLINE and options["mesh"] != "none":
+        if "mesh" in on_command_line() and options["mesh"] != "none":
             raise click.UsageError("found --no-mesh and --mesh, expected one of them")
         options["mesh"] = "none"
     options = with_own_options(own, options)

@@ -114,22 +114,35 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
 
 
 def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
-    import terrainwave
-
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     (_check_options_of_tile if is_tile else _check_options_of_geotiff)(target, options)
     announce_compiling(quiet=quiet)
-    with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
-        lost: list[Losses] = []
-        terrainwave.decompress(source, path, progress=bar, on_lost=lost.append, **options)
-        n_bytes = Path(path).stat().st_size
+    with Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+        made = _made(source, path, bar, options)
         if target == STREAM and Path(f"{path}.aux.xml").exists():
             print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
     with printing_beside(target):
         if as_json:
-            print_json({"path": target, "n_bytes": n_bytes} | _in_json(lost, options))
+            print_json(made | {"path": target})
         elif not quiet:
-            click.echo(f"{plain(target)}: {n_bytes:,} bytes")
+            click.echo(f"{plain(target)}: {made['n_bytes']:,} bytes")
+
+
+def _made(
+    source: str, target: str, progress: ProgressCallback, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Decompress a file; return the fields of the result, with losses if they are no error."""
+    import terrainwave
+
+    lost: list[Losses] = []
+    with reading(source):
+        path = terrainwave.decompress(
+            source, target, progress=progress, on_lost=lost.append, **options
+        )
+    made = {"path": path, "n_bytes": Path(path).stat().st_size}
+    if options["on_error"] == RAISE:
+        return made
+    return made | {"lost": lost[0].to_dict() if lost else None}
 
 
 def _decompress_each(
@@ -141,33 +154,18 @@ def _decompress_each(
     quiet: bool,
     **options: Any,
 ) -> None:
-    import terrainwave
-
     if skips:
         options["overwrite"] = True
 
     def decompress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
-        lost: list[Losses] = []
-        with reading(job.source):
-            path = terrainwave.decompress(
-                job.source, str(job.target), progress=progress, on_lost=lost.append,
-                **options | {"threads": threads},
-            )  # fmt: skip
-        n_bytes = Path(path).stat().st_size
-        fields = {"path": path, "n_bytes": n_bytes} | _in_json(lost, options)
-        return Done(f"{plain(path)}: {n_bytes:,} bytes", fields)
+        made = _made(job.source, str(job.target), progress, options | {"threads": threads})
+        return Done(f"{plain(made['path'])}: {made['n_bytes']:,} bytes", made)
 
     run_to(
         sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
         threads=options["threads"], as_json=as_json, quiet=quiet,
     )  # fmt: skip
-
-
-def _in_json(lost: list["Losses"], options: dict[str, Any]) -> dict[str, Any]:
-    if options["on_error"] == RAISE:
-        return {}
-    return {"lost": lost[0].to_dict() if lost else None}
 
 
 def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:

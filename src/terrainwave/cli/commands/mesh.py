@@ -16,6 +16,7 @@ from terrainwave.cli.options import (
     check_one_area,
     complete_files,
     declared,
+    on_command_line,
     writing,
 )
 from terrainwave.cli.output import (
@@ -117,9 +118,8 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @writing
-@click.pass_context
-def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
-    _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
+def mesh(file: str, target: str, stores: bool, **options: Any) -> None:
+    _refuse_unfit(stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
         _store_meshes(file, target, **{name: options[name] for name in names})
@@ -128,12 +128,8 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
         _export_mesh(file, target, **{name: options[name] for name in names})
 
 
-def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool, lods: int | None) -> None:
-    given = {
-        name
-        for name in context.params
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    } - {"file", "target", "stores"}
+def _refuse_unfit(*, stores: bool, loose: bool, lods: int | None) -> None:
+    given = on_command_line() - {"file", "target", "stores"}
     unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
     if unfit:
         expected = "expected none of them: they are for a mesh in a file of its own"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.drawing import (
@@ -17,7 +16,7 @@ from terrainwave.cli.drawing import (
     style_of,
     suggest_exaggeration,
 )
-from terrainwave.cli.options import Input, Target
+from terrainwave.cli.options import Input, Target, on_command_line
 from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.extras import with_extra
@@ -78,8 +77,7 @@ def render(
 
 
 def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
-    source = click.get_current_context().get_parameter_source("n_frames")
-    if flight is None and source is ParameterSource.COMMANDLINE:
+    if flight is None and "n_frames" in on_command_line():
         raise click.UsageError("found --frames without --flight, expected both")
     for name in ("camera", "bounds"):
         if flight is not None and options[name] is not None:
