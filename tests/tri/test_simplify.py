@@ -5,8 +5,7 @@ import numpy as np
 from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
 from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.checks import problems_of
-from terrainwave.verification.pieces import WHOLE
+from terrainwave.verification.pieces import WHOLE, problems_of
 
 
 def fan(n_spokes):

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.checks import problems_of
 from terrainwave.verification.on_grid import border_line, line_problems
 from terrainwave.verification.pieces import (
     ABC,
@@ -18,6 +17,7 @@ from terrainwave.verification.pieces import (
     WHOLE,
     coverage,
     pieces_of_mask,
+    problems_of,
     refined_pieces,
 )
 

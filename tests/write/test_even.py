@@ -14,8 +14,8 @@ from strategies import terrain_like
 import terrainwave as tw
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import StorageError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region

@@ -20,8 +20,8 @@ import click
 
 from terrainwave import interrupts
 from terrainwave.arguments import AS_IS, in_one_line
-from terrainwave.cli.descriptors import StdoutError, discard_stdout, prepare_streams
 from terrainwave.cli.signals import Terminated, ending_by_signals
+from terrainwave.cli.streams import StdoutError, discard_stdout, prepare_streams
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,

@@ -8,17 +8,12 @@ import logging
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
-from terrainwave.container.digests import (
-    TAIL_LENGTH,
-    DigestTree,
-    section_length,
-    unpack_digests,
-)
+from terrainwave.container.digests import TAIL_LENGTH, DigestTree, section_length, unpack_digests
 from terrainwave.container.header import (
     HEADER_SIZE,
     SMALLEST_DIGESTS,
@@ -399,3 +394,39 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
     if zlib.crc32(data) != crc:
         raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Bytes of each part of a file; their sum is the file.
+
+    `heights`: payloads of each level, the coarsest first; one number if a payload spans several.
+    """
+
+    metadata: int
+    tables: int
+    index: int
+    heights: tuple[int, ...]
+    meshes: int
+    digests: int
+
+
+def parts_of(container: Container) -> Parts:
+    extents = container.extents
+    index, meshes = extents.top_page_length, 0
+    heights = [0] * (container.grid.k_max + 1)
+    for segment in container.present_segments():
+        page = segment.page
+        index += int(page.child_page_lengths.sum(dtype="int64"))
+        meshes += int(page.mesh_lengths.sum(dtype="int64"))
+        for key, length in zip(segment.layout.keys, page.payload_lengths.tolist(), strict=True):
+            # The key of a group is the block above it; that of a root lies on level -1.
+            heights[key.level + 1] += length
+    return Parts(
+        extents.parameters_start,
+        extents.parameters_length,
+        index,
+        tuple(heights),
+        meshes,
+        container.digests_place().length,
+    )

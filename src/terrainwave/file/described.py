@@ -24,7 +24,7 @@ from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
 from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.container.sources.opening import open_source
+from terrainwave.container.sources.byte_source import open_source
 from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
@@ -37,7 +37,7 @@ from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
 if TYPE_CHECKING:
     from affine import Affine
 
-    from terrainwave.container.parts import Parts
+    from terrainwave.container.reader import Parts
 
 DEFAULT_CACHE_BYTES = 256 << 20
 
@@ -285,7 +285,7 @@ class DescribedFile:
 
     def parts(self) -> "Parts":
         """Return the bytes of each part of the file; reads the whole index."""
-        from terrainwave.container.parts import parts_of
+        from terrainwave.container.reader import parts_of
 
         parts = parts_of(self.container)
         if METHODS[self.header.method].is_tiled:  # of several levels together

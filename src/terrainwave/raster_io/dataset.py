@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import cached_property
 from pathlib import Path
@@ -22,11 +22,7 @@ from rasterio.windows import Window
 
 from terrainwave.arguments import NodataChoice, check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
-from terrainwave.errors import (
-    InvalidHeightsError,
-    StorageError,
-    TerrainwaveError,
-)
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
@@ -35,8 +31,7 @@ from terrainwave.place.units import is_length
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
-from terrainwave.raster_io.raster_info import undeclared_by
-from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
+from terrainwave.raster_io.raster_info import PLAIN_COLORS, is_statistic, select_tags, undeclared_by
 from terrainwave.raster_io.vrt import Unreported, is_warped, remark_on_windows, unreported
 
 # Tags that GDAL derives rather than stores, and positions, which have a note of their own.
@@ -433,3 +428,66 @@ class DatasetBackend(RasterBackend):
     def close(self) -> None:
         if self._owned:
             self._dataset.close()
+
+
+def files_of(path: str) -> list[str]:
+    """Return the files that GDAL reads a raster from, those of a VRT's sources too; sorted."""
+
+    def named(name: str) -> list[str]:
+        try:
+            return _listed(name)
+        except TerrainwaveError:  # an accompanying file, such as metadata
+            return []
+
+    return sorted(_all_below(_listed(path), named))
+
+
+def stamps_of(src: Any) -> list[list[str | int]] | None:
+    """Return names, sizes and times of the files that rasters are read from, also by VRTs.
+
+    None if a source is not a local file, such as an array or a URL.
+    """
+    names: set[str] = set()
+    for source in src if isinstance(src, list | tuple) else [src]:
+        found = _files_below(source)
+        if not found:
+            return None
+        names |= found
+    stamps: list[list[str | int]] = []
+    for name in sorted(names):
+        try:
+            seen = os.stat(name)
+        except (OSError, ValueError):
+            return None
+        # Every change of a file sets this time, even one that restores the time of modification.
+        stamps.append([os.path.abspath(name), seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns])
+    return stamps
+
+
+def _files_below(source: Any) -> set[str]:
+    if hasattr(source, "files") and hasattr(source, "block_shapes"):
+        waiting = [os.fspath(name) for name in source.files]
+    elif not isinstance(source, str | os.PathLike):
+        return set()
+    elif is_twz(source):
+        return {os.fspath(source)}
+    else:
+        waiting = _listed(os.fspath(source))
+    # Other files name no further ones, and there may be many thousands.
+    return _all_below(waiting, lambda name: _listed(name) if name.lower().endswith(".vrt") else [])
+
+
+def _all_below(names: list[str], named: Callable[[str], list[str]]) -> set[str]:
+    found: set[str] = set()
+    waiting = [*names]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += named(name)
+    return found
+
+
+def _listed(path: str) -> list[str]:
+    with open_dataset(path) as dataset:
+        return [os.fspath(name) for name in dataset.files]

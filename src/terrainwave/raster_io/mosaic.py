@@ -26,10 +26,10 @@ from terrainwave.raster_io.gdal import scan_windows
 from terrainwave.raster_io.raster_info import (
     SUPPORTED_DTYPES,
     EarlierLoss,
+    common_tags,
     fit_nodata,
     stored_nodata,
 )
-from terrainwave.raster_io.tags import common_tags
 
 # Largest difference of grids in pixels: tiles give their corners with about ten digits.
 _TOLERANCE = 0.01

@@ -44,10 +44,11 @@ from terrainwave.raster_io.dataset import opened
 from terrainwave.raster_io.even import Even, even_parts
 from terrainwave.raster_io.vrt import remark_on_windows
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
-from terrainwave.verification.original import Original, place_text
-from terrainwave.verification.raster_metadata import (
+from terrainwave.verification.original import (
+    Original,
     metadata_problems,
     place_problem,
+    place_text,
     unit_problem,
 )
 

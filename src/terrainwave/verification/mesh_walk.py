@@ -13,21 +13,19 @@ from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.area_mesh import (
-    ReadOriginal,
-    area_problems,
-    error_problems,
-    missing_samples,
-)
 from terrainwave.verification.checked_mesh import CheckedMesh, deviation
 from terrainwave.verification.on_grid import (
     BorderLine,
     QuantaScale,
+    ReadOriginal,
+    area_problems,
     block_mask,
     block_problems,
     block_surface,
     border_line,
+    error_problems,
     line_problems,
+    missing_samples,
     must_be_covered,
 )
 

@@ -36,8 +36,7 @@ from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.crew import Crew
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.dataset import refuse_raster
-from terrainwave.raster_io.files import stamps_of
+from terrainwave.raster_io.dataset import refuse_raster, stamps_of
 from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
 from terrainwave.tri.mesh_options import MeshOptions

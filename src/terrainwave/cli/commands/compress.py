@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from terrainwave.arguments import TWZ_ENDINGS
-from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
-from terrainwave.cli.manifest import Manifest
+from terrainwave.cli.batch import Done, FileJob, Manifest, refuse_options_of_batches, run_to
 from terrainwave.cli.options import (
+    CommandWithOwnOptions,
     Input,
     OfKind,
     Target,
@@ -18,7 +18,9 @@ from terrainwave.cli.options import (
     complete_files,
     declared,
     on_command_line,
+    own_option,
     resumable,
+    with_own_options,
     writing,
 )
 from terrainwave.cli.output import (
@@ -30,11 +32,6 @@ from terrainwave.cli.output import (
     print_note,
     print_notes,
     unit_behind,
-)
-from terrainwave.cli.own_options import (
-    CommandWithOwnOptions,
-    own_option,
-    with_own_options,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.container.sources.addresses import display_name
@@ -191,7 +188,7 @@ def _asked(options: dict[str, Any]) -> Options:
 
 
 def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
-    from terrainwave.raster_io.files import files_of
+    from terrainwave.raster_io.dataset import files_of
     from terrainwave.write.origin import difference
 
     of_files = {name: options[name] for name in options.keys() & {*Options.names(), *_OF_SOURCE}}

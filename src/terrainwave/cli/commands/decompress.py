@@ -17,14 +17,14 @@ from terrainwave.arguments import (
     one_of,
 )
 from terrainwave.cli.batch import (
+    UNKNOWN,
     Done,
     FileJob,
+    Manifest,
     refuse_options_of_batches,
     refuse_unknown_raster,
     run_to,
 )
-from terrainwave.cli.descriptors import without_lines_of_libtiff
-from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     LEVEL_OPTION,
     POSITIVE,
@@ -46,7 +46,7 @@ from terrainwave.cli.output import (
     print_note,
     reading,
 )
-from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, without_lines_of_libtiff, written
 from terrainwave.names import methods_that
 from terrainwave.option_sets import BOUNDS, TILE_SIZE, WINDOW
 from terrainwave.progress import ProgressCallback

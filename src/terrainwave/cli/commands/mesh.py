@@ -11,12 +11,15 @@ from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
     BOUND,
     LEVEL_OPTION,
+    CommandWithOwnOptions,
     Input,
     OfKind,
     check_one_area,
     complete_files,
     declared,
     on_command_line,
+    own_option,
+    with_own_options,
     writing,
 )
 from terrainwave.cli.output import (
@@ -29,11 +32,6 @@ from terrainwave.cli.output import (
     reading,
     unit_behind,
     vertical_in_words,
-)
-from terrainwave.cli.own_options import (
-    CommandWithOwnOptions,
-    own_option,
-    with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.shapes import MESH_ENDINGS, TILE, Shape

@@ -12,11 +12,10 @@ from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from fastapi.routing import APIRoute
 
 from terrainwave.container.header import MEDIA_TYPE
-from terrainwave.ext.serve.byte_range import asked_span, is_same
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
 from terrainwave.ext.serve.locations import Locations, fields_of, locations_of, read_body
-from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, asked_span, begun, is_same, parts
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
 from terrainwave.globe.tile_scheme import MAX_ZOOM as LAST_MESH_ZOOM

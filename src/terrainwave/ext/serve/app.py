@@ -18,11 +18,10 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
-from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.locations import BadLocationsError
 from terrainwave.ext.serve.log import warn_once
-from terrainwave.ext.serve.proxies import Proxied, network_of
+from terrainwave.ext.serve.proxies import Guarded, Proxied, guards_of, network_of
 from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.extras import with_extra

@@ -16,7 +16,7 @@ from rasterio.io import MemoryFile
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish, remove_of_gdal
 from terrainwave.raster_io.gdal import bounded_env
-from terrainwave.raster_io.tags import is_statistic
+from terrainwave.raster_io.raster_info import is_statistic
 from terrainwave.raster_io.vrt import unreported
 
 SIDECAR = ".aux.xml"

@@ -35,8 +35,13 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
-from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
+from terrainwave.raster_io.raster_info import (
+    DOMAIN,
+    PLAIN_COLORS,
+    RasterInfo,
+    stored_nodata,
+    writable_tags,
+)
 
 TILE = 512
 

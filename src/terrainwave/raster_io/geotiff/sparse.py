@@ -4,11 +4,13 @@ GDAL writes a sparse file, which has a head and no tiles; this module assigns co
 after the head to each directory's tiles. So GDAL writes all of a GeoTIFF's metadata.
 """
 
+import io
 import struct
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 import rasterio
@@ -21,8 +23,7 @@ from rasterio.windows import Window
 from terrainwave.errors import LimitExceededError
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.geotiff.sink import TILE, geotiff_profile, write_description
-from terrainwave.raster_io.raster_info import RasterInfo
-from terrainwave.raster_io.tags import DOMAIN
+from terrainwave.raster_io.raster_info import DOMAIN, RasterInfo
 
 # Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
 _SUBFILE_TYPE, _WIDTH, _LENGTH, _BITS, _COMPRESSION = 254, 256, 257, 258, 259
@@ -206,3 +207,82 @@ def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bo
     else:
         struct.pack_into(link, head, value_at, len(head))
         head += data
+
+
+# GDAL also looks for .aux.xml, .ovr and .msk files, which do not exist.
+_ENDINGS = (".tif", ".tiff")
+
+
+class Bytes(Protocol):
+    """Data that can be read at any offset, by several threads at once."""
+
+    @property
+    def size(self) -> int: ...
+
+    def read_at(self, place: int, n_bytes: int) -> bytes:
+        """Return `n_bytes` from byte `place` on, fewer at the end."""
+        ...
+
+
+class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
+    """A GeoTIFF as a seekable binary file object; thread-safe.
+
+    ``rasterio.open(stream)`` reads only the requested parts, as a `MemoryFile` may open itself.
+    `opener` is for functions that take a path and an opener.
+    """
+
+    def __init__(self, file: Bytes) -> None:
+        super().__init__(ext=_ENDINGS[0])
+        self._file = file
+        self._place = 0
+        self._lock = threading.Lock()
+
+    def open(self, driver: str | None = None, sharing: bool = False, **options: Any) -> Any:
+        # A unique name: openers are identified by names.
+        name = self.name.rsplit("/", 1)[-1]
+        return rasterio.open(name, driver=driver, sharing=sharing, opener=self.opener, **options)
+
+    def opener(self, path: str, mode: str = "rb") -> "GeoTIFFStream":
+        """Return a stream of the same bytes: ``rasterio.open("dem.tif", opener=stream.opener)``."""
+        if not path.endswith(_ENDINGS) or "r" not in mode:
+            raise FileNotFoundError(path)
+        return GeoTIFFStream(self._file)
+
+    def __len__(self) -> int:
+        return self._file.size
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return False
+
+    def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
+        raise io.UnsupportedOperation("a GeoTIFF that is made when it is read cannot be written")
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        with self._lock:
+            start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._file.size}
+            if whence not in start or start[whence] + offset < 0:
+                raise ValueError(f"cannot seek to {offset} from {whence}")
+            self._place = start[whence] + offset
+            return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def read(self, size: int | None = -1) -> bytes:
+        with self._lock:
+            left = max(self._file.size - self._place, 0)
+            n_bytes = left if size is None or size < 0 else min(size, left)
+            data = self._file.read_at(self._place, n_bytes)
+            self._place += len(data)
+            return data
+
+    def readinto(self, buffer: Any) -> int:
+        data = self.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)

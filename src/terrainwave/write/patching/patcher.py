@@ -16,7 +16,7 @@ from terrainwave.container.codes import decode_error, encode_error
 from terrainwave.container.digests import DigestTree, tile_digests
 from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import BoundViolationError, CorruptStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
