@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain, pairwise
+from itertools import accumulate, chain, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE, NEWER
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -265,3 +266,90 @@ def payload_starts(page: Page, layout: PageLayout, start: int) -> Sequence[int]:
     starts[order] = start + np.cumsum(lengths) - lengths
     offsets: list[int] = starts.tolist()
     return offsets
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Index page of a segment with the positions of its payloads, meshes and children.
+
+    Its payloads and meshes lie from `sections_start` to `end`; `page_starts` and `child_starts` are
+    those of its children's pages and bodies.
+    """
+
+    head: Block | None
+    layout: PageLayout
+    page: Page
+    sections_start: int
+    end: int
+    payload_starts: Sequence[int]
+    page_starts: Sequence[int]
+    child_starts: Sequence[int]
+
+    def payload_range(self, row: int) -> ByteRange:
+        return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
+
+    def mesh_range(self, row: int) -> ByteRange:
+        return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
+
+    def codes(self, block: Block) -> tuple[int, int, int, int]:
+        z_min, z_max, error, mesh_error = self.page.codes[self.layout.block_rows[block]].tolist()
+        return z_min, z_max, error, mesh_error
+
+    def page_range(self, child: Block) -> ByteRange:
+        row = self.layout.child_rows[child]
+        return ByteRange(self.page_starts[row], int(self.page.child_page_lengths[row]))
+
+    def child_range(self, child: Block) -> ByteRange:
+        row = self.layout.child_rows[child]
+        return ByteRange(self.child_starts[row], self.page.child_body_lengths[row])
+
+
+def segment_of_page(head: Block | None, layout: PageLayout, page: Page, body_start: int) -> Segment:
+    pages = page.child_page_lengths.tolist()
+    sections_start = body_start + sum(pages)
+    return Segment(
+        head=head,
+        layout=layout,
+        page=page,
+        sections_start=sections_start,
+        end=sections_start + page.sections_length,
+        payload_starts=payload_starts(page, layout, sections_start),
+        page_starts=list(accumulate(pages, initial=body_start))[:-1],
+        child_starts=list(accumulate(page.child_body_lengths, initial=page.first_child))[:-1],
+    )
+
+
+# Of a mesh above the finest level whose error is not measured: its bound is computed with the mesh.
+# As an error it exceeds that of any mesh, as the format requires (FORMAT.md §4.4).
+UNMEASURED = 255
+
+
+# An error code c means (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
+def encode_error(error: int) -> int:
+    """Return the smallest code of an error of at least `error` quanta (0 … 2^31)."""
+    if error <= 0:
+        return 0
+    exponent = max(error.bit_length() - 1, 0)
+    for code in range(8 * exponent, 8 * exponent + 9):
+        if code and decode_error(code) >= error:
+            return min(code, 255)
+    return 255
+
+
+def decode_error(code: int) -> int:
+    """Return the error in quanta of `code` (0 … 255)."""
+    return 0 if code == 0 else ((8 + code % 8) << code // 8) >> 3
+
+
+def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    span = outer_high - outer_low
+    if span <= 0 or low > high:
+        return 0, 0
+    below = (low - outer_low) * 255 // span
+    above = (outer_high - high) * 255 // span
+    return min(max(below, 0), 255), min(max(above, 0), 255)
+
+
+def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    span = outer_high - outer_low
+    return outer_low + below * span // 255, outer_high - above * span // 255

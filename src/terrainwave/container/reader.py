@@ -24,13 +24,14 @@ from terrainwave.container.header import (
 )
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
+    Segment,
     describe_head,
     describe_key,
     empty_page,
     page_layout,
+    segment_of_page,
     unpack_page,
 )
-from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError

@@ -20,8 +20,8 @@ from terrainwave.arguments import (
     in_one_line,
 )
 from terrainwave.codec.registry import check_file_tables
-from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
 from terrainwave.container.header import Header
+from terrainwave.container.page import UNMEASURED, decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.byte_source import open_source

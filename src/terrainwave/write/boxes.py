@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
-from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.page import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.codes import unmeasured_codes
