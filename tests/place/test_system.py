@@ -11,9 +11,10 @@ from rasterio.crs import CRS
 from rasterio.warp import transform
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.place.bodies import body_of_radius
 from terrainwave.place.crs import format_crs
 from terrainwave.place.description import describe_crs
-from terrainwave.place.ellipsoid import EARTH, body_of_radius
+from terrainwave.place.ellipsoid import EARTH
 from terrainwave.place.position import axis_labels, place_of
 from terrainwave.place.system import system_of
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import crs_name, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
-from terrainwave.place.ellipsoid import EARTH
+from terrainwave.place.bodies import EARTH
 from terrainwave.place.meaning import PLURALS
 from terrainwave.render.look.png import encode_png
 from terrainwave.render.look.ramps import N_COLORS, ramp_colors

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_number
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.place.bodies import EARTH as THE_EARTH
+from terrainwave.place.bodies import UNKNOWN, body_of_radius
 from terrainwave.place.description import DERIVED, GEOGRAPHIC, OTHER, describe_quietly
-from terrainwave.place.ellipsoid import EARTH, UNKNOWN, Ellipsoid, body_of_radius
-from terrainwave.place.ellipsoid import EARTH as THE_EARTH
+from terrainwave.place.ellipsoid import EARTH, Ellipsoid
 from terrainwave.place.system import System, system_of
 
 Numbers = NDArray[np.float64]

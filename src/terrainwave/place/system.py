@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.extras import need
+from terrainwave.place.bodies import EARTH as THE_EARTH
+from terrainwave.place.bodies import body_of
 from terrainwave.place.description import Description, describe_crs
-from terrainwave.place.ellipsoid import EARTH, Ellipsoid, body_of
-from terrainwave.place.ellipsoid import EARTH as THE_EARTH
+from terrainwave.place.ellipsoid import EARTH, Ellipsoid
 
 _CODE = re.compile(r"([A-Za-z][A-Za-z0-9_]*):([A-Za-z0-9_.]+)")
 # Longitude and latitude of WGS 84, in that order.

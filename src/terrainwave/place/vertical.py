@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import AS_IS, ELLIPSOID
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.place.bodies import EARTH as THE_EARTH
 from terrainwave.place.description import GEOGRAPHIC, Vertical
-from terrainwave.place.ellipsoid import EARTH as THE_EARTH
 from terrainwave.place.position import Place
 from terrainwave.place.system import System, moved, need_pyproj
 from terrainwave.place.units import vertical_of

@@ -120,16 +120,6 @@ def is_twz(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str:
-    if len(numbers) > 2 * _N_NAMES:
-        return f"{len(numbers)} bands, from {numbers[0]} to {numbers[-1]}"
-    names = [descriptions[number - 1] for number in numbers]
-    return ", ".join(
-        f"band {number} ({name})" if name else f"band {number}"
-        for number, name in zip(numbers, names, strict=True)
-    )
-
-
 def _number(text: str) -> float | None:
     try:
         value = float(text)
@@ -282,7 +272,12 @@ class DatasetBackend(RasterBackend):
     def _other_bands(self) -> str:
         dataset, used = self._dataset, (self._band, *self._alphas)
         others = [number for number in range(1, dataset.count + 1) if number not in used]
-        return _band_names(others, dataset.descriptions)
+        if len(others) > 2 * _N_NAMES:
+            return f"{len(others)} bands, from {others[0]} to {others[-1]}"
+        names = ((number, dataset.descriptions[number - 1]) for number in others)
+        return ", ".join(
+            f"band {number}" + (f" ({name})" if name else "") for number, name in names
+        )
 
     def asides(self) -> Iterator[str]:
         """Yield notes that need no warning: on other bands, and on what heights give again."""

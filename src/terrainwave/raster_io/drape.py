@@ -5,6 +5,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, NamedTuple, Self
 from urllib.parse import urlsplit
 from xml.sax.saxutils import escape
@@ -120,13 +121,17 @@ class Photo:
             raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
         with self._reading():
             self._file = _open(path)
-            self._plain_on = plain_on if _is_plain(self._file) else None
+            is_placed = not self._file.transform.is_identity or self._file.crs is not None
+            is_placed |= bool(self._file.gcps[0]) or self._file.rpcs is not None
+            self._plain_on = None if is_placed else plain_on
             _check(path, self._file, grid_crs, is_plain=self._plain_on is not None)
             # If neither states its CRS, any projected system works for both.
             self._grid_crs = grid_crs or _ANY_CRS
             self._crs = self._grid_crs if self._plain_on else self._file.crs or _ANY_CRS
             placed = self._placed(self._file)
-            bounds = _bounds(placed, self._file.width, self._file.height)
+            ends = product((0.0, self._file.height), (0.0, self._file.width))
+            xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *end) for end in ends), strict=True)
+            bounds = min(xs), min(ys), max(xs), max(ys)
             self.place = _overlap(path, bounds, self._crs, self._grid_crs, affine, shape)
             col, row, n_cols, n_rows = self.place
             middle = col + n_cols / 2, row + n_rows / 2
@@ -319,15 +324,6 @@ def _open(path: str, **options: Any) -> Any:
         return rasterio.open(_TILES.format(url=url, edge=math.pi * 6378137.0), **options)
 
 
-def _is_plain(photo: Any) -> bool:
-    return (
-        photo.transform.is_identity
-        and photo.crs is None
-        and not photo.gcps[0]
-        and photo.rpcs is None
-    )
-
-
 def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
     n_colors = photo.count - (ColorInterp.alpha in photo.colorinterp)
     if n_colors not in (1, 3, 4) or photo.dtypes[0] != "uint8":
@@ -348,12 +344,6 @@ def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
             f"{without} has no coordinate reference system and {other} has one; expected both or"
             " neither: gdal_edit.py -a_srs gives a raster one"
         )
-
-
-def _bounds(placed: Any, width: int, height: int) -> tuple[float, float, float, float]:
-    corners = [(row, col) for row in (0.0, height) for col in (0.0, width)]
-    xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *one) for one in corners), strict=True)
-    return min(xs), min(ys), max(xs), max(ys)
 
 
 def _overlap(

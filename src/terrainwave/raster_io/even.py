@@ -228,7 +228,13 @@ class VrtSources:
 
     def value(self, region: Region) -> Any:
         """Return the value of all samples of a region, as its sources lie over each other."""
-        return composed(region, self._values(region), lambda: self._value_of_gap(region))
+
+        def gap() -> Any:
+            if self._fill is None:
+                self._fill = self._read_sample(region.row, region.col)
+            return self._fill
+
+        return composed(region, self._values(region), gap)
 
     def _values(self, region: Region) -> Iterator[tuple[Any, Region]]:
         for number in self._layers.touching(region):
@@ -242,11 +248,6 @@ class VrtSources:
                 if math.isclose(found, nodata, rel_tol=1e-5, abs_tol=1e-5):
                     value = None
             yield value, place
-
-    def _value_of_gap(self, region: Region) -> Any:
-        if self._fill is None:
-            self._fill = self._read_sample(region.row, region.col)
-        return self._fill
 
 
 def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:

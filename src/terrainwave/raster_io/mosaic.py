@@ -184,8 +184,10 @@ class MosaicBackend(RasterBackend):
         named = next((one for one in rasters if one.unit.name is not None), first)
         for other in rasters[1:]:
             _check_alike(first, other, named)
-            if heights_are is None:
-                _check_kind(first, other)
+            crs_text = format_crs(first.crs)
+            are_depths = {kind_name(one.told.kind, crs_text) == "depths" for one in (first, other)}
+            if heights_are is None and len(are_depths) > 1:
+                _refuse_kinds([(one.name, one.told) for one in (first, other)], crs_text)
         self.told = first.told
         self.is_told = any(one.told.kind for one in rasters)
         self.name = f"{first.name} and {len(rasters) - 1} more"
@@ -436,13 +438,6 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
                 " gdal_calc, or correct the metadata with rio edit-info"
             )
     _place(first, other)
-
-
-def _check_kind(first: _Description, other: _Description) -> None:
-    crs_text = format_crs(first.crs)
-    kinds = [kind_name(one.told.kind, crs_text) for one in (first, other)]
-    if (kinds[0] == "depths") != (kinds[1] == "depths"):
-        _refuse_kinds([(one.name, one.told) for one in (first, other)], crs_text)
 
 
 def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None:

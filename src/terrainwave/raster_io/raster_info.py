@@ -144,7 +144,8 @@ class RasterInfo:
 
     def to_metadata(self) -> dict[str, Any]:
         fields = asdict(self)
-        fields["nodata"] = _number_to_plain(self.nodata)
+        if isinstance(self.nodata, float) and not math.isfinite(self.nodata):
+            fields["nodata"] = str(self.nodata)
         fields["transform"] = list(self.transform)
         fields["tags"], fields["band_tags"] = dict(self.tags), dict(self.band_tags)
         return fields
@@ -191,12 +192,6 @@ class RasterInfo:
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CorruptStreamError(f"the raster's metadata are damaged: {error!r}") from error
-
-
-def _number_to_plain(value: int | float | None) -> int | float | str | None:
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)  # "nan", "inf" or "-inf"
-    return value
 
 
 def _year(value: Any) -> float | None:

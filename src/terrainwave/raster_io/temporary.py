@@ -225,7 +225,8 @@ class Spool:
                 content = (content - low).astype(f"u{n_bytes}")
             if content.shape != (TILE, TILE):  # cut by the array's edge
                 content = np.pad(content, [(0, TILE - n) for n in content.shape])
-            if not self.is_kept and n_bytes > self._n_bytes_in_file(at):
+            n_before = self._states[at] if _is_in_file(self._states[at]) else 0
+            if not self.is_kept and n_bytes > n_before:
                 self._slots[at] = self._n_slots
                 self._n_slots += n_bytes
             try:
@@ -236,10 +237,6 @@ class Spool:
                 raise cannot_write(self._directory, error, advice=TEMPORARY_ADVICE) from error
         self._values[at] = low
         self._states[at] = n_bytes or _OF_ONE_VALUE
-
-    def _n_bytes_in_file(self, at: tuple[int, int]) -> int:
-        state = self._states[at]
-        return int(state) if _is_in_file(state) else 0
 
 
 def is_small(shape: tuple[int, int], dtype: DTypeLike) -> bool:

@@ -11,6 +11,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -288,23 +289,18 @@ def _with_meshes(
 
 
 def _report(terrain: Any, twz: Any, max_error: float | None, **found: Any) -> VerifyReport:
+    root = None
+    with suppress(CorruptStreamError):  # which the check of the file reports
+        root = terrain.digest()
     return VerifyReport(
         path=os.fspath(twz),
         bound=float(terrain.effective_error if max_error is None else max_error),
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
         earlier=terrain.info().earlier,
-        root=_root(terrain),
+        root=root,
         **found,
     )
-
-
-def _root(terrain: Any) -> str | None:
-    try:
-        found: str | None = terrain.digest()
-    except CorruptStreamError:
-        return None  # the check of the file reports it
-    return found
 
 
 class _Comparison:
@@ -392,8 +388,11 @@ class _Comparison:
             n_done += n_alike * n_rows * n_cols
             report(n_done + self._n_known)
         report(total)
+        if len(unreadable) > _MAX_LISTED:
+            n_more = len(unreadable) - _MAX_LISTED
+            unreadable[_MAX_LISTED:] = [f"… and {n_more} more windows like these"]
         problems = [
-            *_shortened(unreadable),
+            *unreadable,
             *self._mask_problems(errors.report(), n_taken),
             *beyond.problems_beyond(self._scale, self._bound),
             *signs.problems(_OTHER_ZEROS),
@@ -526,9 +525,3 @@ class _Worst(_Counted):
             f"further from the original than {bound:.17g}; the worst, at row {self._row}, column"
             f" {self._col}, by {self._difference * abs(scale):.17g}"
         )
-
-
-def _shortened(problems: list[str]) -> list[str]:
-    if len(problems) <= _MAX_LISTED:
-        return problems
-    return [*problems[:_MAX_LISTED], f"… and {len(problems) - _MAX_LISTED} more windows like these"]

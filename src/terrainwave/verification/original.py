@@ -285,7 +285,9 @@ def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -
     if other_kind is not None:
         yield f"the original's numbers mean something else: {other_kind}"
     if part:
-        yield from _compare_crs_of_part(terrain, dataset.crs)
+        if (dataset.crs or None) != terrain.raster_info.rasterio_crs():
+            found = dataset.crs or "missing"
+            yield f"the CRS is {terrain.crs or 'missing'}, the original's is {found}"
         return
     if not _same_nodata(terrain.nodata, original.nodata, original.dtype):
         yield f"nodata is {terrain.nodata!r}, the original's is {original.nodata!r}"
@@ -330,12 +332,6 @@ def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
     if math.isnan(nodata) or math.isnan(expected):
         return math.isnan(nodata) and math.isnan(expected)
     return bool(as_stored(nodata, dtype) == as_stored(expected, dtype))
-
-
-def _compare_crs_of_part(terrain: Any, found: CRS | None) -> Iterator[str]:
-    expected = terrain.raster_info.rasterio_crs()
-    if (found or None) != expected:
-        yield f"the CRS is {terrain.crs or 'missing'}, the original's is {found or 'missing'}"
 
 
 def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:

@@ -121,7 +121,9 @@ def serve(
         named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
         app = make_app(list(files), hosts=named, **options)
         with _listen(host, port) as listener:
-            address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
+            shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+            shown = f"[{shown}]" if ":" in shown else shown
+            address = f"http://{shown}:{listener.getsockname()[1]}/"
             if not quiet:
                 n_terrains = count_of(len(app.state.layers), "terrain")
                 click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
@@ -195,8 +197,3 @@ def _listen(host: str, port: int) -> socket.socket:
             " with --port, or --port 0 for a free one"
         ) from error
     return listener
-
-
-def _in_url(host: str) -> str:
-    shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    return f"[{shown}]" if ":" in shown else shown

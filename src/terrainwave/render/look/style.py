@@ -8,7 +8,7 @@ from typing import Any
 from terrainwave.arguments import checked_whole, shown
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.option_sets import FLAG, Kind, OptionSet, number, numbers, option, words
-from terrainwave.place.ellipsoid import EARTH, MARS, MOON, OTHER, UNKNOWN
+from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
 from terrainwave.render.look.colorings import AUTO, COLORING_HELP, RAMP_NAMES, SEA_LEVEL
 
 # The shader's numbers.

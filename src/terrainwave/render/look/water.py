@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.place.ellipsoid import EARTH, UNKNOWN
+from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
 from terrainwave.render.scene.walls import level_within, read_metres
 

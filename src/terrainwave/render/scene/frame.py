@@ -16,7 +16,7 @@ from terrainwave.grid.affine import (
     samples_to_places,
 )
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.ellipsoid import UNKNOWN
+from terrainwave.place.bodies import UNKNOWN
 from terrainwave.place.position import LocalAxes, place_of
 from terrainwave.place.units import height_unit
 

@@ -16,7 +16,7 @@ from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need, with_extra
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.place.ellipsoid import EARTH
+from terrainwave.place.bodies import EARTH
 from terrainwave.place.position import axis_labels
 from terrainwave.render.scene.frame import check_drawable, frame_of
 
