@@ -304,16 +304,11 @@ class HttpSource(_UrlSource):
     def _refused(self, reply: _Reply) -> StorageError:
         problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
-            has_login = "@" in reply.proxy
+            says = "refuses the user and password given"
+            says = says if "@" in reply.proxy else "wants a user and password"
             problem = (
-                f"the proxy {display_name(reply.proxy)} "
-                + (
-                    "refuses the user and password given"
-                    if has_login
-                    else "wants a user and password"
-                )
-                + f" ({reply.reason}); name them in {self._named.scheme}_proxy,"
-                " as http://user:password@host:port"
+                f"the proxy {display_name(reply.proxy)} {says} ({reply.reason}); name them in"
+                f" {self._named.scheme}_proxy, as http://user:password@host:port"
             )
         elif reply.proxy:
             problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"

@@ -10,6 +10,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Sequence
+from typing import IO, cast
 
 from terrainwave.arguments import size_of
 from terrainwave.container.sources.byte_source import (
@@ -89,7 +90,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
     at = source.name
     name = f"zip://{path}::{at}"
     try:
-        with zipfile.ZipFile(_AsFile(source)) as archive:
+        with zipfile.ZipFile(cast(IO[bytes], _AsFile(source))) as archive:
             names = [info.filename for info in archive.infolist() if not info.is_dir()]
             if path not in names:
                 found = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
@@ -134,7 +135,7 @@ def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
     return start, info.file_size
 
 
-class _AsFile(io.RawIOBase):
+class _AsFile:
     """A source as the file that `zipfile` reads; its end, with the directory, is read at once."""
 
     def __init__(self, source: ByteSource) -> None:
@@ -143,9 +144,6 @@ class _AsFile(io.RawIOBase):
         self._tail = source.read(self._tail_at, source.size - self._tail_at)
 
     def seekable(self) -> bool:
-        return True
-
-    def readable(self) -> bool:
         return True
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:

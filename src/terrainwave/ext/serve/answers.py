@@ -9,7 +9,6 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
-from fastapi.routing import APIRoute
 
 from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.ext.serve.catalog import describe
@@ -35,16 +34,6 @@ _FOREVER, _COMPARED = "max-age=31536000, immutable", "no-cache"
 def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
     is_clear = look.transparent_voids if voids is None else voids == "transparent"
     return Look(encoding or look.encoding, is_clear)
-
-
-class _Route(APIRoute):
-    """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        methods: set[str] = self.methods or set()
-        if "GET" in methods:
-            self.methods = methods | {"HEAD"}
 
 
 class Answers:
@@ -81,9 +70,9 @@ class Answers:
             "/{name}.twz": self._file,
             "/{name}/height": self._heights,
         }
-        router = APIRouter(route_class=_Route)
+        router = APIRouter()
         for path, answer in answers.items():
-            router.add_api_route(path, answer, methods=["GET"])
+            router.add_api_route(path, answer, methods=["GET", "HEAD"])  # RFC 9110, 9.1
         router.add_api_route("/{name}/height", self._heights_posted, methods=["POST"])
         return router
 

@@ -1,6 +1,7 @@
 """Signs that a coordinate of an array is x or y, and names of arrays in messages."""
 
 import re
+from functools import partial
 from typing import Any
 
 # Signs that a coordinate is x or y, strongest first: attributes of the CF conventions, names.
@@ -55,16 +56,14 @@ def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
     return sorted(found, key=lambda pair: pair[0] != dim)
 
 
-def by_axis(_name: Any, coord: Any) -> list[str]:
-    return _said(coord.attrs.get("axis"), _AXIS)
+def _by(attribute: str, table: dict[str, set[str]], _: Any, coord: Any) -> list[str]:
+    """Return the roles by an attribute of a coordinate."""
+    return _said(coord.attrs.get(attribute), table)
 
 
-def by_standard_name(_name: Any, coord: Any) -> list[str]:
-    return _said(coord.attrs.get("standard_name"), _STANDARD_NAMES)
-
-
-def by_units(_name: Any, coord: Any) -> list[str]:
-    return _said(coord.attrs.get("units"), _UNITS)
+by_axis = partial(_by, "axis", _AXIS)
+by_standard_name = partial(_by, "standard_name", _STANDARD_NAMES)
+by_units = partial(_by, "units", _UNITS)
 
 
 def by_name(name: Any, _coord: Any) -> list[str]:
