@@ -4,8 +4,7 @@ import numpy as np
 
 from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.pieces import WHOLE, problems_of
+from terrainwave.verification.checks import WHOLE, CheckedMesh, deviation, problems_of
 
 
 def fan(n_spokes):

@@ -7,19 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.on_grid import border_line, line_problems
-from terrainwave.verification.pieces import (
+from terrainwave.verification.checks import (
     ABC,
     ABD,
     ACD,
     BCD,
     WHOLE,
+    CheckedMesh,
     coverage,
+    deviation,
     pieces_of_mask,
     problems_of,
     refined_pieces,
 )
+from terrainwave.verification.on_grid import border_line, line_problems
 
 CORNERS = {ABC: "abc", ACD: "acd", ABD: "abd", BCD: "bcd"}
 

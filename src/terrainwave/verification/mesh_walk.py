@@ -13,7 +13,7 @@ from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
+from terrainwave.verification.checks import CheckedMesh, deviation
 from terrainwave.verification.on_grid import (
     BorderLine,
     QuantaScale,

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.verification.checked_mesh import CheckedMesh, Deviation, deviation
-from terrainwave.verification.pieces import (
+from terrainwave.verification.checks import (
     NOTHING,
+    CheckedMesh,
+    Deviation,
     boundary_edges,
+    deviation,
     pieces_of_mask,
     problems_of,
     refined_pieces,

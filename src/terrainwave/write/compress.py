@@ -26,11 +26,11 @@ from terrainwave.arguments import (
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.targets.publication import (
+    only_writer,
     publish,
     refuse_own_source,
     system_scratch,
 )
-from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.crew import Crew

@@ -14,8 +14,12 @@ from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, chec
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import page_layout
-from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
-from terrainwave.container.targets.unfinished import only_writer
+from terrainwave.container.targets.publication import (
+    only_writer,
+    publish,
+    refuse_own_source,
+    scratch_directory,
+)
 from terrainwave.container.writer import SpoolSink, append_digests, assemble
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile

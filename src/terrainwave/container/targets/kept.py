@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
 
 from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors, write_all
-from terrainwave.container.targets.publication import scratch_directory
-from terrainwave.container.targets.unfinished import own_path
+from terrainwave.container.targets.publication import own_path, scratch_directory
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 
 KEPT_SUFFIX = ".twz-kept"

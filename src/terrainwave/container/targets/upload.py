@@ -15,8 +15,7 @@ from terrainwave import interrupts
 from terrainwave.arguments import check_flags, in_one_line
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.publication import OF_GDAL, scratch_directory
-from terrainwave.container.targets.unfinished import Part
+from terrainwave.container.targets.publication import OF_GDAL, Part, scratch_directory
 from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
 from terrainwave.extras import need
 
