@@ -4,7 +4,7 @@ from itertools import chain
 
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.container.spool import SectionFile, SegmentSpool
 
 

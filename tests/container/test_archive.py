@@ -11,7 +11,7 @@ from container.toys import toy_file, toy_header, toy_payload
 from containers import open_container
 
 import terrainwave.container.sources.zip_member as module
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveWarning
 
 HEADER = toy_header(2000, 1999)

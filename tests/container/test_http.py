@@ -20,7 +20,7 @@ from servers import running
 
 from terrainwave.container.sources import url as module
 from terrainwave.container.sources.addresses import display_name, without_secrets
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import SourceUnavailableError, StorageError
 
 TLS = Path(__file__).parent / "tls"

@@ -19,7 +19,7 @@ import pytest
 from servers import running
 
 from terrainwave.container.sources import url as module
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.errors import StorageError, TerrainwaveError
 
 TABLE = json.loads((Path(__file__).parents[1] / "http_cases.json").read_text(encoding="utf-8"))

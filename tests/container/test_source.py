@@ -7,7 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from terrainwave.container.sources.byte_source import BufferSource, FileSource, open_source
+from terrainwave.container.sources.byte_source import BufferSource, FileSource
+from terrainwave.container.sources.opening import open_source
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
 

@@ -14,7 +14,7 @@ from forks import holds_in_a_fork
 from servers import running
 
 from terrainwave.container.page import empty_page, page_layout
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import (
     StorageError,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.upload import filesystem_errors, put_whole
 from terrainwave.errors import CorruptStreamError, StorageError

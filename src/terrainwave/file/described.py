@@ -24,7 +24,7 @@ from terrainwave.container.header import Header
 from terrainwave.container.page import UNMEASURED, decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
-from terrainwave.container.sources.byte_source import open_source
+from terrainwave.container.sources.opening import open_source
 from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer

@@ -4,11 +4,10 @@ import io
 import os
 import threading
 from collections.abc import Sequence
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, BinaryIO
 
-from terrainwave.arguments import checked_path, shown
 from terrainwave.container.sources.ranges import ByteRange, RoundReader
-from terrainwave.errors import InvalidArgumentError, StorageError, TruncatedStreamError
+from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
 # Files up to this size are read whole from servers, or out of archives, without ranges.
@@ -163,26 +162,3 @@ class FileSource(BufferSource):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return FileSource, (os.path.abspath(self.name),)
-
-
-SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
-
-
-def open_source(source: SourceLike) -> ByteSource:
-    """Return the source of a path, a URL, bytes or a binary file object, or raise."""
-    if isinstance(source, bytes | bytearray | memoryview):
-        return BufferSource(bytes(source))
-    if isinstance(source, str) and "://" in source:
-        from terrainwave.container.sources.url import open_url
-
-        return open_url(source)
-    if isinstance(source, str | os.PathLike):
-        return FileSource(checked_path(source))
-    if isinstance(source, ByteSource):
-        return source
-    if hasattr(source, "read") and hasattr(source, "seek"):
-        return BufferSource(source)
-    raise InvalidArgumentError(
-        f"found {shown(source)}, expected the path or URL of a .twz file, its bytes, or a binary"
-        " file object"
-    )
