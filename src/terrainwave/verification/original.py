@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import rasterio
 from rasterio.crs import CRS
 from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
@@ -25,6 +24,7 @@ from terrainwave.place.meaning import Told, by_numbers
 from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem, meeting
 from terrainwave.raster_io.dataset import DatasetBackend, is_placed, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
+from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.mosaic import ORIENTATIONS, Orientation
 from terrainwave.raster_io.vrt import unreported
 
@@ -40,8 +40,6 @@ _SAME_PIXEL = 1e-6
 _SAME_PLACE = 1e-3
 # Indices of a transform's numbers for size and direction of pixels.
 _LINEAR = (0, 1, 3, 4)
-
-_GDAL_CACHE_BYTES = 64 * 2**20
 
 
 class Original:
@@ -125,7 +123,7 @@ class Original:
         row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
-            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
+            with bounded_env():
                 heights = self.dataset.read(self.band, window=window)
                 valid = ~self._is_void(heights)
                 if self._has_mask:
