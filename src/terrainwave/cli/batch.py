@@ -281,9 +281,8 @@ def run(
 ) -> int:
     """Do the jobs, print the result of each and a summary; return the exit status.
 
-    With `as_json`, stdout gets a line of JSON for each file as soon as it is done, and nothing
-    else. Up to `threads` jobs run at a time and share the threads. A job is skipped if `manifest`
-    knows that its target is up to date.
+    With `as_json`, stdout gets a line of JSON for each file as soon as it is done. Up to `threads`
+    jobs run at a time and share the threads.
     """
     n_threads = checked_threads(threads)
     n_at_once = min(len(jobs), n_threads)

@@ -81,15 +81,9 @@ def page_layout(grid: Grid, head: Block | None) -> PageLayout:
 class Page:
     """The columns of an index page; rows in the order of its `PageLayout`.
 
-    `payload_lengths`, `payload_crcs`, `mesh_lengths`, `mesh_crcs` (uint32, shape (n_keys,)).
-    `flags` (ndarray of uint8, shape (n_keys,)).
-    `codes` (ndarray of uint8, shape (n_blocks, 4)): z_min, z_max, error and mesh error of each
-        block, opaque here.
-    `child_page_lengths` (ndarray of uint32, shape (n_children,)).
-    `child_lengths` (ndarray of uint64, shape (n_children,)): page and body of a child. 0 if the
-        segment is absent.
-    `first_child`: file offset of the bodies of the child segments, which are contiguous. 0 if the
-        layout has no children.
+    `codes`, shape (n_blocks, 4), are z_min, z_max, error and mesh error of each block, opaque here.
+    `child_lengths` are page and body of a child, 0 if the segment is absent; the bodies are
+    contiguous from the offset `first_child` on, which is 0 if the layout has no children.
     """
 
     payload_lengths: NDArray[np.uint32]

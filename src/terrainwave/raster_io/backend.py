@@ -17,9 +17,8 @@ class RasterBackend:
     """One band of a raster: of a dataset of GDAL, a .twz file, an array, or a mosaic of these.
 
     `undeclared` are values that the raster declares void and that `nodata` turns into heights;
-    `is_lost` is true if its position is unknown, `has_mask` if `read` finds voids without a nodata
-    value. `told` is its statement on the meaning of its numbers; None: they fit any file.
-    `came_from` is the .twz file that an array names as its source.
+    `has_mask` is true if `read` finds voids without a nodata value. Without `told` it fits any
+    file.
     """
 
     name: str

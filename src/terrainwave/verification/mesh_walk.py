@@ -38,11 +38,10 @@ _MAX_LISTED = 20
 
 @dataclass(frozen=True)
 class LevelMeshes:
-    """Stored meshes of a level.
+    """Stored meshes of a level, with errors in physical units.
 
-    Errors in physical units: `stored_error` is the largest one in the index, or else the largest
-    bound derived from the meshes; `measured_error` is the largest measured distance, from the
-    originals, or without them from the decoded heights.
+    `stored_error` is the largest one in the index, or else bound of the meshes; `measured_error`
+    the largest distance from the originals, or without them from the decoded heights.
     """
 
     level: int

@@ -45,12 +45,9 @@ _LINEAR = (0, 1, 3, 4)
 class Original:
     """A band of a rasterio dataset; `nodata` and `heights_are` as in `compress`.
 
-    Rows and columns are read in the order of `transform`, a file's, even if the dataset stores them
-    in the opposite order, such as with the southernmost row first.
-
-    With `whole`, the shape of the file, the dataset may cover only a part of it: `place` is that
-    part, or None if the dataset does not lie on the file's grid or extends beyond the file. Regions
-    to read are the file's.
+    Rows and columns are read in the order of `transform`, a file's. With `whole`, the shape of the
+    file, the dataset may cover only a part of it: `place` is that part, or None if the dataset does
+    not lie on the file's grid or extends beyond the file. Regions to read are the file's.
     """
 
     def __init__(

@@ -92,11 +92,9 @@ class Connections:
         """Request `url` and return the result of `take` on the reply.
 
         A kept connection that fails is replaced at once: servers close them at any time. Raises
-        `OSError` or `http.client.HTTPException`: errors below urllib3. Raises `ProxyStatus` if the
-        proxy refuses the connection to the server. Raises `TooSlow` if `most_seconds` have passed.
-
-        `timeout`: seconds without a byte.
-        `most_seconds`: seconds for the whole reply: a server may send single bytes forever.
+        errors below urllib3, `ProxyStatus` if the proxy refuses the connection to the server,
+        `TooSlow` if `most_seconds` have passed: a server may send single bytes, within `timeout`,
+        forever.
         """
         with self._turns, _Watch(most_seconds) as watch:
             self._here.watch = watch

@@ -51,19 +51,7 @@ def make_app(
 ) -> FastAPI:
     """Return the application that serves these files; ``app.state.shelf`` takes more.
 
-    `hosts`: names that a request's Host header may give besides `LOCAL_HOSTS`.
-    `cors`: let pages of other origins read.
-    `n_decoding`: requests that decode at a time.
-    `radius`: radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-    `vertical`: heights of Cesium's tiles, as in `TilePyramid`.
-    `encoding`, `transparent_voids`: of terrain-RGB tiles where a request does not say; a warning
-        names
-        each file with heights that the encoding cannot hold.
-    `sea_level`: height in metres below which the page's colours show water, ``"none"`` or
-        ``"auto"``.
-    `public_url`: address as browsers see it, by default that of each request.
-    `proxy`: addresses or networks of trusted proxies, besides those on this machine.
-
+    Options are those of the command: `hosts` is its --allow-host, `n_decoding` its --threads.
     Raises `TerrainwaveError` if an option has none of its values, two files have the same name or
     none can be opened; one that cannot beside others is a warning.
     """
