@@ -124,32 +124,31 @@ class Page:
         )
 
 
+# Columns in the order of the file, the type of their numbers, and whose rows they are: of keys,
+# blocks or children. The codes of a block are packed as one number.
+_COLUMNS = (
+    ("payload_lengths", "<u4", 0), ("mesh_lengths", "<u4", 0), ("flags", "u1", 0),
+    ("codes", "<u4", 1), ("child_page_lengths", "<u4", 2), ("child_lengths", "<u8", 2),
+    ("payload_crcs", "<u4", 0), ("mesh_crcs", "<u4", 0),
+)  # fmt: skip
+
+
 def empty_page(layout: PageLayout) -> Page:
-    n_keys, n_blocks, n_children = map(len, layout)
-    return Page(
-        payload_lengths=np.zeros(n_keys, dtype=np.uint32),
-        payload_crcs=np.zeros(n_keys, dtype=np.uint32),
-        mesh_lengths=np.zeros(n_keys, dtype=np.uint32),
-        mesh_crcs=np.zeros(n_keys, dtype=np.uint32),
-        flags=np.zeros(n_keys, dtype=np.uint8),
-        codes=np.zeros((n_blocks, N_CODES), dtype=np.uint8),
-        child_page_lengths=np.zeros(n_children, dtype=np.uint32),
-        child_lengths=np.zeros(n_children, dtype=np.uint64),
-    )
+    """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
+    zeros = {name: np.zeros(len(layout[rows]), dtype) for name, dtype, rows in _COLUMNS}
+    return Page(**zeros | {"codes": np.zeros((len(layout.blocks), N_CODES), dtype=np.uint8)})
 
 
 def pack_columns(page: Page) -> bytes:
-    columns = (
-        _pack_planes(page.payload_lengths, "<u4"),
-        _pack_planes(page.mesh_lengths, "<u4"),
-        page.flags.tobytes(),
-        page.codes.T.tobytes(),
-        _pack_planes(page.child_page_lengths, "<u4"),
-        _pack_planes(page.child_lengths, "<u8"),
-        _pack_planes(page.payload_crcs, "<u4"),
-        _pack_planes(page.mesh_crcs, "<u4"),
-    )
-    return deflate(b"".join(columns))
+    """Return the deflated columns of `page` except `first_child` (FORMAT.md §3.3)."""
+    return deflate(b"".join(_planes(page, name, dtype) for name, dtype, _ in _COLUMNS))
+
+
+def _planes(page: Page, name: str, dtype: str) -> bytes:
+    """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
+    column: NDArray[np.generic] = getattr(page, name)
+    column = np.ascontiguousarray(column if name == "codes" else column.astype(dtype))
+    return column.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
 
 
 def page_length(columns: bytes) -> int:
@@ -172,25 +171,21 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     crc, first_child = _PREFIX.unpack_from(data)
     if crc != zlib.crc32(data[4:]):
         raise CorruptStreamError(f"checksum of {name} does not match")
-    n_keys, n_blocks, n_children = map(len, layout)
-    expected = 17 * n_keys + N_CODES * n_blocks + 12 * n_children
+    sizes = {name: (np.dtype(kind).itemsize, len(layout[rows])) for name, kind, rows in _COLUMNS}
+    expected = sum(width * count for width, count in sizes.values())
     content = inflate(data[_PREFIX.size :], expected, name)
     if len(content) != expected:
         raise CorruptStreamError(f"{name} inflates to {len(content)} bytes, not {expected}")
     columns, at = {}, 0
-    for column, dtype, count in (
-        ("payload_lengths", "<u4", n_keys), ("mesh_lengths", "<u4", n_keys),
-        ("flags", "u1", n_keys), ("codes", "u1", N_CODES * n_blocks),
-        ("child_page_lengths", "<u4", n_children), ("child_lengths", "<u8", n_children),
-        ("payload_crcs", "<u4", n_keys), ("mesh_crcs", "<u4", n_keys),
-    ):  # fmt: skip
-        width = np.dtype(dtype).itemsize
+    for column, dtype, _ in _COLUMNS:
+        width, count = sizes[column]
         planes = np.frombuffer(content, np.uint8, width * count, at).reshape(width, count)
         at += planes.size
-        numbers = np.ascontiguousarray(planes.T).view(dtype).reshape(count)
-        columns[column] = numbers.astype(np.dtype(dtype).newbyteorder("="))  # native
-    codes = columns.pop("codes").reshape(N_CODES, n_blocks).T
-    page = Page(codes=np.ascontiguousarray(codes), first_child=first_child, **columns)
+        rows = np.ascontiguousarray(planes.T)
+        if column != "codes":
+            rows = rows.view(dtype).reshape(count).astype(np.dtype(dtype).newbyteorder("="))
+        columns[column] = rows
+    page = Page(first_child=first_child, **columns)
     _check(page, name)
     return page
 
@@ -216,12 +211,6 @@ def _check(page: Page, name: str) -> None:
         raise CorruptStreamError(f"{name} lists a segment shorter than its page")
     if page.first_child and not len(absent):
         raise CorruptStreamError(f"{name} points at segments below the finest level")
-
-
-def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
-    """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
-    data = np.ascontiguousarray(column.astype(dtype))
-    return data.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
 
 
 def describe_head(head: Block | None) -> str:
