@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate, chain, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +135,9 @@ _COLUMNS = (
 
 def empty_page(layout: PageLayout) -> Page:
     """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
-    zeros = {name: np.zeros(len(layout[rows]), dtype) for name, dtype, rows in _COLUMNS}
+    zeros: dict[str, Any] = {
+        name: np.zeros(len(layout[rows]), dtype) for name, dtype, rows in _COLUMNS
+    }
     return Page(**zeros | {"codes": np.zeros((len(layout.blocks), N_CODES), dtype=np.uint8)})
 
 
@@ -176,7 +178,7 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
     content = inflate(data[_PREFIX.size :], expected, name)
     if len(content) != expected:
         raise CorruptStreamError(f"{name} inflates to {len(content)} bytes, not {expected}")
-    columns, at = {}, 0
+    columns, at = dict[str, Any](), 0
     for column, dtype, _ in _COLUMNS:
         width, count = sizes[column]
         planes = np.frombuffer(content, np.uint8, width * count, at).reshape(width, count)
