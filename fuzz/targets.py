@@ -51,7 +51,7 @@ from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import StoredSamples
 from terrainwave.mesh.sections import unpack_section
 from terrainwave.names import METHODS
-from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
+from terrainwave.raster_io.geotiff.sparse import GeoTIFFStream
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.terrain import Terrain
 from terrainwave.tri.halves.borders import beside_void

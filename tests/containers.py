@@ -29,5 +29,7 @@ def copied_segments(terrain, mesh_codes, folder):
                 [*stored.codes(block)[:3], mesh_codes[block]] for block in grid.key_blocks(key)
             ]
             payload = stored.payloads([key])[0]
-            spool.add(key, payload, codes=bytes(chain(*codes)), mesh=stored.mesh(key))
+            spool.add(key, payload)
+            spool.codes[key] = bytes(chain(*codes))
+            spool.set_mesh(key, stored.mesh(key))
     return spools

@@ -11,7 +11,7 @@ from twz import grouped
 
 import terrainwave
 from terrainwave.grid.quadtree import Region
-from terrainwave.verification.checked_mesh import deviation
+from terrainwave.verification.checks import deviation
 from terrainwave.verification.on_grid import (
     QuantaScale,
     mesh_problems,

@@ -29,7 +29,7 @@ from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.export.shapes import Shape
 from terrainwave.progress import ProgressCallback
 from terrainwave.terrain import Terrain
-from terrainwave.verification.area_mesh import area_problems
+from terrainwave.verification.on_grid import area_problems
 
 _log = logging.getLogger(__name__)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from terrainwave.export.mesh import Mesh
     from terrainwave.ext.notebook.explorer import Explorer
     from terrainwave.mesh.blocks import BlockMesher
-    from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
+    from terrainwave.raster_io.geotiff.sparse import GeoTIFFStream
     from terrainwave.render.look.style import Style
     from terrainwave.render.window.static import Picture
     from terrainwave.tri.block_mesh import BlockMesh
@@ -180,7 +180,7 @@ class Terrain(TerrainFile):
         averages, without a bound. The terrain must stay open.
         """
         from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
-        from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
+        from terrainwave.raster_io.geotiff.sparse import GeoTIFFStream
 
         made = VirtualGeoTIFF(self)
         made.warn_of_crs()  # GDAL cannot pass on a warning turned into an error

@@ -119,7 +119,7 @@ def test_what_libraries_print_goes_into_no_file(tmp_path, dem):
     program = f"""
 import os, sys
 from terrainwave.cli import main
-from terrainwave.cli.descriptors import prepare_streams
+from terrainwave.cli.streams import prepare_streams
 prepare_streams()
 import terrainwave.write.compress as module
 assemble = module.assemble
@@ -398,7 +398,7 @@ LAYERS = {
         "write.pyramid.Pyramid.build",
         "write.encoder.TreeEncoder.run",
         "mesh.blocks.measure_meshes",
-        "container.spool_sink.SpoolSink.__init__",
+        "container.writer.SpoolSink.__init__",
         "write.compress.assemble",
         "write.passes.proof.Comparison.window",
         "container.reader.Container.__init__",

@@ -11,7 +11,7 @@ if __name__ == "__main__":
 
 import terrainwave
 from conformance import protocol
-from terrainwave.container.codes import decode_error
+from terrainwave.container.page import decode_error
 from terrainwave.errors import CorruptStreamError, LimitExceededError, UnsupportedVersionError
 from terrainwave.names import MESHES, METHODS
 

@@ -11,7 +11,6 @@ from container.toys import (
     toy_file,
     toy_header,
     toy_payload,
-    toy_spools,
 )
 from containers import open_container
 from hypothesis import given, settings
@@ -167,7 +166,7 @@ def test_payloads_near_each_other_are_read_together():
 )  # fmt: skip
 def test_a_key_outside_the_grid_is_a_key_error(key):
     container = open_container(toy_file(toy_header(2000, 1999)))
-    for method in (container.payload, container.flags, container.mesh):
+    for method in (container.payload, container.mesh):
         with pytest.raises(KeyError):
             method(key)
 
@@ -198,8 +197,8 @@ def silent_spools(grid, directory, loud=()):
         layout = page_layout(grid, head)
         for key in layout.keys:
             n_blocks = 1 if key.level < 0 else len(grid.children(key))
-            payload = b"loud" if key in loud else b""
-            spools[head].add(key, payload, 0, bytes(4 * n_blocks))
+            spools[head].add(key, b"loud" if key in loud else b"")
+            spools[head].codes[key] = bytes(4 * n_blocks)
     return spools
 
 
@@ -217,7 +216,6 @@ def test_segments_without_any_content_take_no_bytes(tmp_path):
         assert list(container.check()) == []
         assert container.payload(Block(5, 9, 9)) == b""
         assert container.codes(Block(6, 9, 9)) == (0, 0, 0, 0)
-        assert container.flags(Block(5, 9, 9)) == 0
 
 
 def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
@@ -229,35 +227,3 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
         assert container.payload(loud) == b"loud"
         assert container.payload(Block(9, 0, 0)) == b""
         assert container.segment(Block(6, 0, 0)).page.is_empty
-
-
-def test_a_missing_segment_is_refused(tmp_path):
-    header = toy_header(2000, 1999)
-    spools = toy_spools(header.grid, tmp_path)
-    del spools[Block(2, 1, 1)]
-    with pytest.raises(ValueError, match=r"level 2, row 1, col 1\) is missing"):
-        assembled(header, spools)
-
-
-def test_a_missing_payload_is_refused(tmp_path):
-    header = toy_header()
-    with pytest.raises(ValueError, match="no payload or no codes"):
-        assembled(header, {None: SegmentSpool(SectionFile(tmp_path))})
-
-
-def test_missing_codes_are_refused(tmp_path):
-    spool = SegmentSpool(SectionFile(tmp_path))
-    spool.add(Block(-1, 0, 0), b"x")
-    with pytest.raises(ValueError, match="no payload or no codes"):
-        assembled(toy_header(), {None: spool})
-    spool.set_codes(Block(-1, 0, 0), b"")
-    with pytest.raises(ValueError, match="0 bytes of codes"):
-        assembled(toy_header(), {None: spool})
-
-
-def test_a_payload_of_another_segment_is_refused(tmp_path):
-    header = toy_header(2000, 1999)
-    spools = toy_spools(header.grid, tmp_path)
-    spools[None].add(Block(5, 0, 0), b"x", 0, bytes(16))
-    with pytest.raises(ValueError, match="does not belong"):
-        assembled(header, spools)

@@ -14,7 +14,6 @@ from container.toys import toy_header, toy_spools
 from containers import open_container
 
 from terrainwave.container.targets import publication as publish_module
-from terrainwave.container.targets import unfinished
 from terrainwave.container.targets.publication import publish, remove_stale_parts, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError
@@ -76,7 +75,8 @@ def test_an_exception_leaves_the_target_and_removes_the_part(target, error):
 
 def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "terrainwave.container.targets.unfinished._try_lock", Mock(side_effect=KeyboardInterrupt)
+        "terrainwave.container.targets.publish_module._try_lock",
+        Mock(side_effect=KeyboardInterrupt),
     )
     with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):
         pytest.fail("the block must not run")
@@ -222,7 +222,7 @@ def test_a_part_whose_lock_is_held_or_cannot_be_tried_stays(target, monkeypatch,
     part.touch()
 
     monkeypatch.setattr(
-        unfinished.fcntl, "flock", Mock(side_effect=OSError(error, os.strerror(error)))
+        publish_module.fcntl, "flock", Mock(side_effect=OSError(error, os.strerror(error)))
     )
     assert remove_stale_parts(target) == []
     assert others(target) == [part.name]
@@ -230,7 +230,7 @@ def test_a_part_whose_lock_is_held_or_cannot_be_tried_stays(target, monkeypatch,
 
 def test_a_file_system_without_locks_can_be_written(target, monkeypatch):
     monkeypatch.setattr(
-        unfinished.fcntl, "flock", Mock(side_effect=OSError(errno.ENOLCK, "no locks"))
+        publish_module.fcntl, "flock", Mock(side_effect=OSError(errno.ENOLCK, "no locks"))
     )
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
@@ -255,8 +255,8 @@ class FakeMsvcrt:
 
 def test_windows_locks_lie_far_behind_the_content(target, monkeypatch):
     fake = FakeMsvcrt()
-    monkeypatch.setattr(unfinished, "fcntl", None)
-    monkeypatch.setattr(unfinished, "msvcrt", fake)
+    monkeypatch.setattr(publish_module, "fcntl", None)
+    monkeypatch.setattr(publish_module, "msvcrt", fake)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
         assert {position for _, position in fake.locked} == {2**40}
@@ -343,7 +343,7 @@ def test_files_of_other_targets_are_left_alone(tmp_path):
 
 def test_a_part_taken_away_before_its_lock_is_made_again(target, monkeypatch):
     taken = []
-    try_lock = unfinished._try_lock
+    try_lock = publish_module._try_lock
 
     def lock_too_late(file):
         (part,) = (path for path in target.parent.iterdir() if path != target)
@@ -352,7 +352,7 @@ def test_a_part_taken_away_before_its_lock_is_made_again(target, monkeypatch):
         taken.append(part)
         return try_lock(file)
 
-    monkeypatch.setattr(unfinished, "_try_lock", lock_too_late)
+    monkeypatch.setattr(publish_module, "_try_lock", lock_too_late)
     with publish(target, overwrite=True) as part:
         part.file.write(b"new")
     assert len(taken) == 2

@@ -22,7 +22,8 @@ def payload(number):
 def filled(directory, numbers=range(60)):
     spool = SegmentSpool(SectionFile(directory))
     for number in numbers:
-        spool.add(key(number), payload(number), 0, b"", payload(number)[:5])
+        spool.add(key(number), payload(number))
+        spool.set_mesh(key(number), payload(number)[:5])
     return spool
 
 
@@ -66,34 +67,6 @@ def test_threads_may_add_at_the_same_time(tmp_path):
     assert b"".join(spool.chunks([key(n) for n in range(80)])) == expected
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((key(1), b""), "already been added"),
-        ((key(2), b"", 256), "flags 256"),
-        ((key(2), b"", -1), "flags -1"),
-        ((key(2), b"", 0, b"123"), "3 bytes of codes"),
-        ((key(2), b"", 0, bytes(20)), "20 bytes of codes"),
-        ((Block(-1, 0, 0), b"", 0, bytes(8)), "8 bytes of codes"),
-    ],
-)
-def test_mistakes_of_the_caller_are_value_errors(tmp_path, arguments, message):
-    spool = SegmentSpool(SectionFile(tmp_path))
-    spool.add(key(1), b"")
-    with pytest.raises(ValueError, match=message):
-        spool.add(*arguments)
-
-
-def test_codes_may_come_later_and_again(tmp_path):
-    spool = SegmentSpool(SectionFile(tmp_path))
-    spool.add(key(1), b"")
-    with pytest.raises(KeyError):
-        spool.codes(key(1))
-    for codes in (bytes(16), bytes(range(16))):
-        spool.set_codes(key(1), codes)
-    assert spool.codes(key(1)) == bytes(range(16))
-
-
 def test_a_temporary_file_that_was_damaged_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
     file = SectionFile(tmp_path)
@@ -131,5 +104,5 @@ def test_after_a_failed_write_the_payloads_are_still_there(tmp_path, monkeypatch
     spool.add(key(9), bytes(2 << 20))
     assert error.value.__cause__.__traceback__  # whose frames have a view of what was written
     assert list(spool.chunks([key(7), key(9)])) == [
-        payload(7), payload(7)[:5], bytes(2 << 20), b""
+        payload(7), payload(7)[:5], bytes(2 << 20)
     ]  # fmt: skip

@@ -39,7 +39,8 @@ def file_of(header, folder, lengths):
         for key in page_layout(grid, head).keys:
             codes = bytes(code for block in grid.key_blocks(key) for code in toy_codes(block))
             length = int(lengths[key.level + 1] * rng.uniform(0.9, 1.1))
-            spools[head].add(key, bytes(length), 0, codes)
+            spools[head].add(key, bytes(length))
+            spools[head].codes[key] = codes
     out = io.BytesIO()
     assemble(out, header, spools)
     return out.getvalue()

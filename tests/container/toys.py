@@ -55,11 +55,6 @@ def toy_mesh(key: Block) -> bytes:
     return f"mesh {key.level} {key.row} {key.col}".encode() if key.col % 4 == 3 else b""
 
 
-def toy_flags(key: Block) -> int:
-    """Return the flags of a payload: no bit has a meaning yet."""
-    return 0
-
-
 def toy_codes(block: Block) -> tuple[int, int, int, int]:
     return (block.level, block.row % 256, block.col % 256, (block.row + block.col) % 7)
 
@@ -70,7 +65,9 @@ def toy_spools(grid: Grid, directory, order=lambda keys: keys) -> dict:
         spools[head] = SegmentSpool(SectionFile(directory))
         for key in order(page_layout(grid, head).keys):
             codes = bytes(code for b in grid.key_blocks(key) for code in toy_codes(b))
-            spools[head].add(key, toy_payload(key), toy_flags(key), codes, toy_mesh(key))
+            spools[head].add(key, toy_payload(key))
+            spools[head].set_mesh(key, toy_mesh(key))
+            spools[head].codes[key] = codes
     return spools
 
 
@@ -108,13 +105,13 @@ def forge(header, page, body=b"", rest=b"", first_child=None, metadata=None, pag
 
 
 def read_everything(data: bytes) -> dict:
-    """Return all payloads, meshes, flags and codes of a file."""
+    """Return all payloads, meshes and codes of a file."""
     found = {}
     with open_container(data) as container:
         for head in container.grid.segment_heads():
             layout = page_layout(container.grid, head)
             for key, payload in zip(layout.keys, container.payloads(layout.keys)):
-                found[key] = payload, container.mesh(key), container.flags(key)
+                found[key] = payload, container.mesh(key)
             for block in layout.blocks:
                 found["codes", block] = container.codes(block)
     return found
@@ -126,7 +123,7 @@ def everything_expected(grid: Grid) -> dict:
     for head in grid.segment_heads():
         layout = page_layout(grid, head)
         for key in layout.keys:
-            found[key] = toy_payload(key), toy_mesh(key), toy_flags(key)
+            found[key] = toy_payload(key), toy_mesh(key)
         for block in layout.blocks:
             found["codes", block] = toy_codes(block)
     return found

@@ -14,7 +14,7 @@ from strategies import write_geotiff
 import terrainwave
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.crs import format_crs
-from terrainwave.raster_io.geotiff.sidecar import read_place, write_beside
+from terrainwave.raster_io.geotiff.sink import read_place, write_beside
 
 # As ENVI's headers have it, without codes: the vertical system becomes another one in a GeoTIFF.
 NO_CODES = CRS.from_user_input("EPSG:2263+6360").to_wkt(version="WKT1_ESRI")

@@ -19,8 +19,7 @@ from strategies import terrain_like, write_geotiff
 from terrainwave.errors import LimitExceededError
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.file import TerrainFile
-from terrainwave.raster_io.geotiff.sparse import sparse_geotiff
-from terrainwave.raster_io.geotiff.stream import GeoTIFFStream
+from terrainwave.raster_io.geotiff.sparse import GeoTIFFStream, sparse_geotiff
 from terrainwave.raster_io.raster_info import RasterInfo
 from terrainwave.write.compress import compress
 

@@ -17,8 +17,7 @@ import terrainwave
 from terrainwave.errors import CorruptStreamError
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.byte_range import Span, asked_span, is_same
-from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, Span, asked_span, begun, is_same, parts
 
 TAG = '"abc"'
 

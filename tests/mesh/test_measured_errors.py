@@ -10,7 +10,7 @@ from reference import bilinear_error, level_mask, surface_at
 from strategies import terrain_like, valid_masks
 from twz import twz_bytes
 
-from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.page import decode_error, decode_range, encode_error, encode_range
 from terrainwave.grid.block_stats import measure_block
 from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.sections import mesher_of

@@ -7,9 +7,9 @@ import pytest
 from mesh_cases import make_case, reader, write_case
 
 import terrainwave
-from terrainwave.container.codes import UNMEASURED, decode_error, encode_error
+from terrainwave.container.page import UNMEASURED, decode_error, encode_error
 from terrainwave.mesh.sections import mesher_of
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
+from terrainwave.verification.checks import CheckedMesh, deviation
 from terrainwave.verification.on_grid import QuantaScale
 
 CASES = {

@@ -4,9 +4,7 @@ import numpy as np
 
 from terrainwave.tri.block_mesh import BlockMesh
 from terrainwave.tri.halves.simplify import simplify
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.checks import problems_of
-from terrainwave.verification.pieces import WHOLE
+from terrainwave.verification.checks import WHOLE, CheckedMesh, deviation, problems_of
 
 
 def fan(n_spokes):

@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import ndimage
 
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
-from terrainwave.verification.checks import problems_of
-from terrainwave.verification.on_grid import border_line, line_problems
-from terrainwave.verification.pieces import (
+from terrainwave.verification.checks import (
     ABC,
     ABD,
     ACD,
     BCD,
     WHOLE,
-    characteristic,
+    CheckedMesh,
     coverage,
+    deviation,
     pieces_of_mask,
+    problems_of,
     refined_pieces,
 )
+from terrainwave.verification.on_grid import border_line, line_problems
 
 CORNERS = {ABC: "abc", ACD: "acd", ABD: "abd", BCD: "bcd"}
 
@@ -61,27 +60,6 @@ masks = st.builds(
 @given(masks)
 def test_the_full_grid_is_fine(mask):
     assert check(grid_surface(mask), mask) == []
-
-
-@given(masks)
-def test_characteristic_is_parts_less_holes(mask):
-    """Beside scipy's labels of an image of all corners, edges and faces."""
-    pieces = pieces_of_mask(mask)
-    n_rows, n_cols = mask.shape
-    image = np.zeros((2 * n_rows + 1, 2 * n_cols + 1), dtype=bool)
-    at = {"a": (0, 0), "b": (0, 2), "c": (2, 2), "d": (2, 0)}
-    for row, col in np.argwhere(pieces).tolist():
-        names = "abcd" if pieces[row, col] == WHOLE else CORNERS[int(pieces[row, col])]
-        part = image[2 * row + 1 : 2 * row + 4, 2 * col + 1 : 2 * col + 4]
-        part[1, 1] = True
-        for name in names:
-            part[at[name]] = True
-        for one, other in ("ab", "bc", "cd", "da"):
-            if one in names and other in names:
-                part[tuple((np.array(at[one]) + at[other]) // 2)] = True
-    _, n_parts = ndimage.label(image)
-    _, n_outside = ndimage.label(~image, structure=np.ones((3, 3)))
-    assert characteristic(pieces) == (n_parts - (n_outside - 1), n_parts)
 
 
 @given(masks, st.sampled_from([1, 2, 3, 8]))
@@ -185,13 +163,6 @@ def test_a_crack_between_equal_places():
     found = " ".join(check(split, MASK))
     assert "lie on another one" in found
     assert "one side only" in found
-
-
-def test_two_triangles_torn_apart_at_a_shared_corner_are_two_parts():
-    mask = np.zeros((3, 3), dtype=bool)
-    mask[[0, 0, 1, 1, 1, 2, 2], [0, 1, 0, 1, 2, 1, 2]] = True
-    surface = grid_surface(mask)
-    assert check(surface, mask) == []
 
 
 @pytest.mark.parametrize("change", [-1, 1])

@@ -17,8 +17,7 @@ from terrainwave.errors import (
     StorageError,
 )
 from terrainwave.place.meaning import Told
-from terrainwave.verification.heights import verify
-from terrainwave.verification.metrics import ErrorSum
+from terrainwave.verification.heights import ErrorSum, verify
 
 
 class FakeTerrain:

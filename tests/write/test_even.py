@@ -14,8 +14,8 @@ from strategies import terrain_like
 import terrainwave as tw
 from terrainwave.codec.unit_specs import unit_spec
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import StorageError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid, Region
@@ -526,7 +526,7 @@ def test_finished_units_take_little_memory(tmp_path):
             keys = grid.segment_groups(head)
             for key in keys:
                 sink(key, b"payload")
-                sink.spools[head].set_codes(key, bytes(16))
+                sink.spools[head].codes[key] = bytes(16)
             sink.store(head)
             for start in grid.children(head):
                 below = [key for key in keys if key.level > start.level and is_below(key, start)]

@@ -347,7 +347,7 @@ def test_a_patch_goes_on_after_kills(tmp_path, raster, monkeypatch, has_original
 _HOLD = """
 import sys
 from pathlib import Path
-from terrainwave.container.targets.unfinished import only_writer
+from terrainwave.container.targets.publication import only_writer
 path = Path(sys.argv[1])
 with only_writer(path, path.parent, "it"):
     print("begun", flush=True)

@@ -1,5 +1,6 @@
 """Batches: one result for each file, several files at a time, continuing after failures."""
 
+import json
 import os
 import sys
 import threading
@@ -15,7 +16,6 @@ import click
 
 from terrainwave import interrupts
 from terrainwave.arguments import checked_path, checked_threads, count_of, path_in_url
-from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import (
     Bar,
     announce_compiling,
@@ -29,6 +29,108 @@ from terrainwave.cli.streams import STREAM
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.progress import Progress, ProgressCallback
+
+NAME = ".terrainwave-manifest.jsonl"
+UNKNOWN = "no manifest says what it was made of"
+
+# Takes source, target, and the difference found by the manifest; returns why the target is not what
+# the command makes of the source, None if it is.
+Compare = Callable[[str, str, str, ProgressCallback], str | None]
+
+
+class Manifest:
+    """Targets in a directory, and their sources.
+
+    `compare` is for existing targets that the manifest does not confirm. Without `skips`, targets
+    are only recorded.
+    """
+
+    def __init__(
+        self,
+        directory: str,
+        asked: dict[str, Any],
+        *,
+        files_of: Callable[[str], list[str]],
+        compare: Compare,
+        skips: bool = True,
+    ) -> None:
+        self._path = Path(directory) / NAME
+        self._asked = json.loads(json.dumps(asked, default=str))
+        self._files_of = files_of
+        self._compare = compare
+        self._skips = skips
+        self._lock = threading.Lock()
+        self._entries = _read_entries(self._path) if skips else {}
+
+    @contextmanager
+    def checked(self, source: str, target: str, progress: ProgressCallback) -> Iterator[str | None]:
+        """Yield why a target has to be made again ("" if it is new); None if it is up to date.
+
+        The target is recorded when the block ends without an exception.
+        """
+        # Taken before the source is read, so that the next run notices changes made meanwhile.
+        sources = self._source_states(source)
+        name = os.path.relpath(target, self._path.parent).replace(os.sep, "/")
+        before = self._entries.get(name)
+        entry = {"target": name, "asked": self._asked, "sources": sources}
+        difference: str | None = ""
+        if self._skips and os.path.exists(target):
+            known = _difference(before, entry | {"state": _state(target)})
+            difference = known and self._compare(source, target, known, progress)
+        yield difference
+        entry["state"] = _state(target)
+        if sources is not None and entry != before:
+            self._write(entry)
+
+    def _source_states(self, source: str) -> list[list[Any]] | None:
+        from terrainwave.errors import TerrainwaveError
+
+        try:
+            names = self._files_of(source)
+            # Includes the time of change: copying tools copy the time of modification.
+            return [
+                [os.path.abspath(name), *_state(name), os.stat(name).st_ctime_ns] for name in names
+            ] or None
+        except (TerrainwaveError, OSError):  # reading reports it, or it is not a local file
+            return None
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        """Append a line; without it, the next run compares the files themselves."""
+        # The line feed comes first: a truncated line spoils no other.
+        line = "\n" + json.dumps(entry, ensure_ascii=True, sort_keys=True)
+        with self._lock:
+            self._entries[entry["target"]] = entry
+            with suppress(OSError), self._path.open("a", encoding="ascii") as file:
+                file.write(line)
+
+
+def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str | None:
+    if before is None:
+        return UNKNOWN
+    if before.get("asked") != now["asked"]:
+        return "it was made with other options"
+    if now["sources"] is None or before.get("sources") != now["sources"]:
+        return "its source has changed"
+    return None if before.get("state") == now["state"] else "it has changed since it was made"
+
+
+def _state(path: str) -> list[int]:
+    found = os.stat(path)
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
+    entries: dict[str, dict[str, Any]] = {}
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return entries
+    for line in filter(None, lines):
+        with suppress(ValueError, RecursionError):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and isinstance(entry.get("target"), str):
+                entries[entry["target"]] = entry
+    return entries
 
 
 @dataclass(frozen=True)
@@ -121,10 +223,7 @@ def plan(
 def with_files_of_folders(
     sources: Sequence[str], endings: Sequence[str], directory: str | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield named files and those in named folders, each with its relative folder.
-
-    In folders, files that end in one of `endings`, except those below `directory`.
-    """
+    """Yield files, and those in folders with one of `endings`, each with its relative folder."""
     for source in sources:
         checked_path(source)
         if not os.path.isdir(source) or source.lower().endswith(_FOLDERS_THAT_ARE_RASTERS):
@@ -142,7 +241,6 @@ def with_files_of_folders(
 def _files_below(
     source: str, directory: str | None, endings: Sequence[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the files below a folder, sorted, each with its relative folder."""
     target = None if directory is None else os.path.realpath(directory)
     for path, folders, names in os.walk(source):
         folders[:] = sorted(
@@ -158,7 +256,6 @@ def _files_below(
 
 @contextmanager
 def made(directories: Iterable[str]) -> Iterator[None]:
-    """Make directories; remove them at the end if they are empty."""
     missing = set[Path]()
     try:
         for directory in directories:
@@ -184,9 +281,8 @@ def run(
 ) -> int:
     """Do the jobs, print the result of each and a summary; return the exit status.
 
-    With `as_json`, stdout gets a line of JSON for each file as soon as it is done, and nothing
-    else. Up to `threads` jobs run at a time and share the threads. A job is skipped if `manifest`
-    knows that its target is up to date.
+    With `as_json`, stdout gets a line of JSON for each file as soon as it is done. Up to `threads`
+    jobs run at a time and share the threads.
     """
     n_threads = checked_threads(threads)
     n_at_once = min(len(jobs), n_threads)
@@ -251,7 +347,6 @@ def run_to(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Make a file of each source in a directory; exit with the status of all."""
     if not sources:
         raise click.UsageError("Missing argument 'SOURCE'.")
     jobs = plan(sources, directory, ending, endings)
@@ -287,14 +382,12 @@ def _has_failed(outcome: _Outcome) -> bool:
 
 
 def _status(outcomes: Sequence[_Outcome]) -> int:
-    """Return 0, 1 if a job failed, 2 if the arguments fit none of the files."""
     if all(isinstance(outcome.error, InvalidArgumentError) for outcome in outcomes):
         return 2
     return int(any(map(_has_failed, outcomes)))
 
 
 def find_original(file: str, directory: Path) -> str:
-    """Return the raster in a directory with the name of a .twz file."""
     from terrainwave.errors import StorageError
 
     stem = Path(file).stem
@@ -310,7 +403,6 @@ _NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
 
 
 def refuse_unknown_raster(target: str) -> None:
-    """Raise if the target is a raster that `decompress` may not have made, such as the original."""
     from terrainwave.errors import StorageError
     from terrainwave.raster_io.dataset import open_dataset
 
@@ -325,7 +417,6 @@ def refuse_unknown_raster(target: str) -> None:
 
 
 def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:
-    """Raise for --skip-existing where nothing can be skipped."""
     if skip_existing and to is None:
         raise click.UsageError("found --skip-existing without --to, expected both")
     if skip_existing and overwrite:
@@ -333,6 +424,5 @@ def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite:
 
 
 def finish(status: int) -> None:
-    """Exit with a status unless it is 0."""
     if status:
         sys.exit(status)

@@ -24,10 +24,8 @@ def run_demo(
 ) -> tuple[str, list[list[str]]]:
     """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
 
-    Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
-    an earlier run; a failed run leaves nothing. Returns the raster in words, and a row below
-    `HEADER` for each bound. Raises `BoundViolationError` if a decoded height is outside its bound.
-    Raises `TerrainwaveError` if matplotlib is missing.
+    Replaces the raster, a .twz per bound and ``demo.png`` in `directory`, or leaves nothing.
+    Returns the raster in words, and a row below `HEADER` for each bound.
     """
     folder = Path(directory)
     heights, info = _load_heights()
@@ -52,7 +50,6 @@ def run_demo(
 def _row(
     original: Path, n_bytes: int, bound: float, progress: ProgressCallback | None
 ) -> list[str]:
-    """Compress and check the raster of `n_bytes`; return the row of a bound."""
     path = _file(original.parent, bound)
     file = terrainwave.compress(original, path, max_error=bound, progress=progress)
     report = terrainwave.verify(path, original)
@@ -83,7 +80,6 @@ def _load_heights() -> tuple[np.ndarray, RasterInfo]:
 
 
 def _draw(folder: Path, n_bytes: int) -> None:
-    """Draw the original, of `n_bytes`, the heights of the largest bound, and their errors."""
     from matplotlib.figure import Figure
 
     bound = BOUNDS[-1]

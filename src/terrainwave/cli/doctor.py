@@ -23,29 +23,7 @@ _OLDEST = (3, 6)
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of the check.
-
-    Attributes
-    ----------
-    terrainwave : str
-        Version of this package.
-    native : str or None
-        Path of the native library; None if it is missing or not used.
-    native_advice : str
-        Why it is not used; empty if it is.
-    command : str or None
-        Path of GDAL's command; None if it is not on the PATH.
-    gdal : str or None
-        Version of GDAL.
-    reads_twz : bool
-        This GDAL has the driver.
-    advice : tuple of str
-        Steps to take, a sentence each; empty if none.
-    rasterio : str
-        Version of GDAL in this Python's rasterio.
-    rasterio_reads_twz : bool
-        That GDAL has the driver.
-    """
+    """Paths and versions that were found, reasons why not, and steps to take."""
 
     terrainwave: str
     native: str | None
@@ -82,7 +60,6 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Check the native library, the GDAL whose commands are on the PATH, and rasterio."""
     native, native_advice = _check_native()
     command = shutil.which(_COMMAND)
     version, problems, has_driver = _ask(command) if command else (None, [], False)
@@ -101,7 +78,6 @@ def diagnose() -> Diagnosis:
 
 
 def _check_native() -> tuple[str | None, str]:
-    """Return the path of the native library if it is used, else None and the reason."""
     if not is_wanted():
         return None, f"{SWITCH} is 0 in the environment"
     try:
@@ -111,7 +87,6 @@ def _check_native() -> tuple[str | None, str]:
 
 
 def _ask(command: str) -> tuple[str | None, list[str], bool]:
-    """Return GDAL's version, its error messages on drivers, and whether it has ours."""
     told = _output(command, "--version")
     words = told[0].replace(",", " ").split() if told and told[0].startswith("GDAL ") else []
     described = _output(command, "--format", _DRIVER)
@@ -122,7 +97,6 @@ def _ask(command: str) -> tuple[str | None, list[str], bool]:
 
 
 def _output(*command: str) -> list[str]:
-    """Return the lines that a command prints; an empty list if it cannot be run."""
     try:
         ended = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
@@ -134,7 +108,6 @@ def _output(*command: str) -> list[str]:
 
 
 def _ask_rasterio() -> tuple[str, bool]:
-    """Return the version of GDAL in this Python's rasterio, and whether it has the driver."""
     # Imported here, because the command's help needs no rasterio.
     import rasterio
 
@@ -182,7 +155,6 @@ def _advice(command: str | None, version: str | None, problems: list[str]) -> li
 
 
 def _has_plugin(folder: str, minor: str) -> bool:
-    """Return whether a folder has the driver; GDAL prefers a subfolder of its minor version."""
     own = os.path.join(folder, minor)
     try:
         names = os.listdir(own if os.path.isdir(own) else folder)

@@ -1,59 +1,50 @@
 """Types of option values; a wrong value gives one line: found, expected."""
 
 import os
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import Field
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import (
-    ARCHIVE_ENDING,
-    check_ending,
-    check_local,
-    checked_path,
-)
+from terrainwave.arguments import ARCHIVE_ENDING, check_ending, check_local, checked_path, one_of
+from terrainwave.cli.output import Command, own_sets
 from terrainwave.cli.streams import STREAM, read_stream
+from terrainwave.codec.method_options import chosen
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.shapes import Shape
+from terrainwave.names import DEFAULT_EFFORT, DEFAULT_MESH, EFFORTS, METHODS
 from terrainwave.option_sets import FLAG, PATH, Kind, OptionSet, number
 from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
+from terrainwave.tri import mesh_options
 
 
 def complete_files(_: Any, __: Any, incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(incomplete, type="file")]
 
 
-class _Path(click.ParamType):
-    """Name that the shell completes."""
+class Name(click.ParamType):
+    """Name of a file or folder for any purpose, which the shell completes."""
 
+    name = "path"
     completes = "file"
 
     def shell_complete(self, _: Any, __: Any, incomplete: str) -> list[CompletionItem]:
         return [CompletionItem(incomplete, type=self.completes)]
 
-    def named(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name; raise if it is empty."""
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
         try:
             return checked_path(value)
         except InvalidArgumentError as error:
             self.fail(str(error), param, ctx)
 
 
-class Name(_Path):
-    """Name of a file or folder for any purpose."""
-
-    name = "path"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        return self.named(value, param, ctx)
-
-
-class Target(_Path):
+class Target(Name):
     """Output file with one of some endings; - is stdout where allowed."""
-
-    name = "path"
 
     def __init__(
         self, endings: Sequence[str], *, or_stdout: bool = True, or_url: bool = False
@@ -63,7 +54,7 @@ class Target(_Path):
         self._or_url = or_url
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        path = self.named(value, param, ctx)
+        path = super().convert(value, param, ctx)
         if path == STREAM and self._or_stdout:
             return path
         more = ""
@@ -77,7 +68,7 @@ class Target(_Path):
         return path
 
 
-class Directory(_Path):
+class Directory(Name):
     """Output directory; names of archives and streams are refused, as are empty ones."""
 
     name = "directory"
@@ -88,8 +79,7 @@ class Directory(_Path):
         self._or_ending = or_ending
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name; also of a file if its ending is allowed."""
-        path = self.named(value, param, ctx)
+        path = super().convert(value, param, ctx)
         ending = os.path.splitext(path)[1].lower()
         if ending == self._or_ending:
             return path
@@ -100,18 +90,12 @@ class Directory(_Path):
         return path
 
 
-class Input(_Path):
-    """Input file; - is stdin, which is copied to a temporary file until the command ends.
-
-    Readers seek, which a stream cannot.
-    """
-
-    name = "path"
+class Input(Name):
+    """Input file; - is stdin, copied to a temporary file, as readers seek."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the path of the file or of the copy."""
         if value != STREAM or ctx is None or ctx.resilient_parsing:
-            return self.named(value, param, ctx)
+            return super().convert(value, param, ctx)
         return read_stream(ctx)
 
 
@@ -121,7 +105,7 @@ class NamedInput(Input):
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         if value == STREAM:
             self.fail("found -, expected a file name: this command cannot use streams", param, ctx)
-        return self.named(value, param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class OfKind(click.ParamType):
@@ -144,24 +128,16 @@ class _Range(OfKind, click.FloatRange):
     """A number whose limits the help shows."""
 
     def __init__(self, kind: Kind) -> None:
-        limits = kind.limits
-        least = limits.get("least", limits.get("above"))
-        click.FloatRange.__init__(self, least, limits.get("most"), min_open="above" in limits)
+        least = kind.limits.get("least", kind.limits.get("above"))
+        is_open = "above" in kind.limits
+        click.FloatRange.__init__(self, least, kind.limits.get("most"), min_open=is_open)
         self._kind = kind
 
 
 def declared(
     options: type[OptionSet], first: str | None = None, last: str | None = None
 ) -> Callable[[Any], Any]:
-    """Return a decorator that gives a command the options of a class, as its fields declare them.
-
-    Parameters
-    ----------
-    options : type
-        Fields without help are not for commands.
-    first, last : str, optional
-        The first and the last field to take; by default those of the class.
-    """
+    """Return a decorator that gives a command options of a class, from `first` to `last`."""
     names = options.names()
     start = 0 if first is None else names.index(first)
     stop = None if last is None else names.index(last) + 1
@@ -187,9 +163,7 @@ def _declared(one: Field[Any]) -> Callable[[Any], Any]:
     return click.option(*given.pop("names"), one.name, help=one.metadata["help"], **given)
 
 
-# Types of options that several commands have.
 BOUND, POSITIVE, FINITE = OfKind(number(least=0)), OfKind(number(above=0)), OfKind(number())
-# For commands that make the page for browsers.
 PAGE_SEA_LEVEL_OPTION = click.option(
     "--sea-level",
     type=OfKind(SEA_LEVEL),
@@ -213,8 +187,15 @@ LEVEL_OPTION = click.option(
 )
 
 
+def on_command_line() -> set[str]:
+    """Return the names of the parameters that the command line gives."""
+    ctx = click.get_current_context()
+    return {
+        name for name in ctx.params if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
+    }
+
+
 def check_one_area(options: dict[str, Any]) -> None:
-    """Raise if both a window and bounds are given."""
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
 
@@ -222,14 +203,12 @@ def check_one_area(options: dict[str, Any]) -> None:
 def add_options(
     command: Callable[..., Any], *options: Callable[[Callable[..., Any]], Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Return a decorator that adds options to a command; help lists the last one first."""
     for option in options:
         command = option(command)
     return command
 
 
 def writing(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that write a file."""
     return add_options(
         command,
         THREADS_OPTION,
@@ -239,7 +218,6 @@ def writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that continue an interrupted run."""
     return add_options(
         command,
         click.option(
@@ -257,7 +235,6 @@ def resumable(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def batched(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of commands that take many files."""
     return add_options(
         command,
         click.option(
@@ -274,3 +251,106 @@ def batched(command: Callable[..., Any]) -> Callable[..., Any]:
             " SOURCE that is a folder stands for the files below it; their folders are kept.",
         ),
     )
+
+
+_ARGUMENTS = "terrainwave.arguments"
+
+
+def own_option(help: str) -> Callable[[Any], Any]:
+    return click.option("-o", "own", multiple=True, metavar="NAME[=VALUE]", help=help)
+
+
+def with_own_options(own: Sequence[str], options: dict[str, Any]) -> dict[str, Any]:
+    """Return a command's options with those of -o (`own`) merged in.
+
+    Raises `click.UsageError` or `InvalidArgumentError` if neither the method nor the kind of meshes
+    has the option, or the value is invalid.
+    """
+    words = _words(own)
+    in_use = _sets_of({"mesh": DEFAULT_MESH} | options)
+    found: dict[str, Any] = {}
+    for each in in_use:
+        taken = {name: words.pop(name) for name in each.names() if name in words}
+        if taken:
+            found[each.argument] = each.from_words(taken)
+    for name, word in words.items():
+        _refuse(name, f"-o {word}", options, in_use)
+    if "method" in found:
+        found["effort"] = chosen(options["method"], options["effort"]).effort
+    return options | found
+
+
+def _words(own: Sequence[str]) -> dict[str, str]:
+    words: dict[str, str] = {}
+    for text in own:
+        name = text.partition("=")[0].replace("-", "_")
+        if not name:
+            raise click.UsageError(f"found -o {text or repr(text)}, expected NAME or NAME=VALUE")
+        if name in words:
+            raise click.UsageError(f"found -o {name} twice, expected it once")
+        words[name] = text
+    return words
+
+
+def _refuse(
+    name: str, typed: str, options: dict[str, Any], in_use: Sequence[type[OptionSet]]
+) -> None:
+    of_command = [each for each in own_sets() if each.argument in options]
+    having = [each for each in of_command if name in each.names()]
+    if having:
+        argument, params = having[0].argument, click.get_current_context().params
+        found = (
+            f"`{argument}` {params[argument]}"
+            if argument in on_command_line()
+            else f"no `{argument}`"
+        )
+        raise InvalidArgumentError(
+            f"found {typed} and {found}, expected `{argument}` {one_of([h.name for h in having])}"
+        )
+    known = [name for each in in_use for name in each.names()]
+    kinds = one_of([each.name for each in of_command if each.argument == "mesh"])
+    expected = f"-o {one_of(known)}" if known else f"an option of --mesh {kinds}"
+    raise click.UsageError(f"found {typed}, expected {expected}")
+
+
+class CommandWithOwnOptions(Command):
+    """Command whose help lists the options of the named method and meshes."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.meta[_ARGUMENTS] = list(args)
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        super().format_options(ctx, formatter)
+        for kind in _sets_of(self._given(ctx)):
+            with formatter.section(f"Options of --{kind.argument} {kind.name}"):
+                formatter.write_dl([(f"-o {words}", help) for words, help in kind.described()])
+
+    def pointer(self, ctx: click.Context, message: str) -> str:
+        """Return the command that lists the options that `message` is about: -o, or all."""
+        if not re.search(r"(?<!\S)'?-o\b", message):
+            return super().pointer(ctx, message)
+        named = dict(re.findall(r"expected --(method|mesh) (\w+)", message))
+        if not named:
+            named = {kind.argument: kind.name for kind in _sets_of(self._given(ctx))}
+        if not named:
+            has_methods = any(option.name == "method" for option in self.params)
+            named = {"method": "METHOD"} if has_methods else {"mesh": "KIND"}
+        words = " ".join(f"--{argument} {name}" for argument, name in named.items())
+        return f"{ctx.command_path} {words} --help"
+
+    def _given(self, ctx: click.Context) -> dict[str, Any]:
+        args = list(ctx.meta.get(_ARGUMENTS, []))
+        for known in (args, args[:-1]):  # the last option may lack its value
+            with suppress(click.UsageError):
+                return self.make_parser(ctx).parse_args(list(known))[0]
+        return {}
+
+
+def _sets_of(given: Mapping[str, Any]) -> list[type[OptionSet]]:
+    found: list[type[OptionSet] | None] = [mesh_options.options_of(given.get("mesh") or "")]
+    if given.get("method") in ("auto", *METHODS):
+        effort = given.get("effort")
+        choice = chosen(given["method"], effort if effort in EFFORTS else DEFAULT_EFFORT)
+        found.insert(0, type(choice.own))
+    return [each for each in found if each is not None]

@@ -20,8 +20,8 @@ import click
 
 from terrainwave import interrupts
 from terrainwave.arguments import AS_IS, in_one_line
-from terrainwave.cli.descriptors import StdoutError, discard_stdout, prepare_streams
 from terrainwave.cli.signals import Terminated, ending_by_signals
+from terrainwave.cli.streams import StdoutError, discard_stdout, prepare_streams
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
@@ -45,7 +45,6 @@ def print_error(message: object, error: BaseException | None = None) -> None:
 
 
 _printed_notes: dict[str, None] = {}  # in order
-# Fields of results that are lists of the package's sentences.
 _SENTENCES = ("notes", "problems")
 
 
@@ -58,14 +57,12 @@ def print_note(message: object) -> None:
 
 
 def print_notes(notes: Iterable[str]) -> None:
-    """Print notes of the package in terms of the command line."""
     for note in notes:
         print_note(in_options(note))
 
 
 @contextmanager
 def reading(path: str) -> Iterator[None]:
-    """Add the file's name, and advice, to the message of any error about it."""
     from terrainwave.container.header import NotTwzError
     from terrainwave.container.sources.addresses import display_name
 
@@ -82,8 +79,6 @@ def reading(path: str) -> Iterator[None]:
 
 @contextmanager
 def warnings_as_notes() -> Iterator[None]:
-    """Print our own warnings on one line each, without file names and line numbers."""
-
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if isinstance(message, TerrainwaveWarning):
             print_note(message_of(message))
@@ -100,7 +95,6 @@ def warnings_as_notes() -> Iterator[None]:
 
 @functools.cache
 def own_sets() -> list[type["OptionSet"]]:
-    """Return the classes of options that -o takes: of methods and of kinds of meshes."""
     from terrainwave.codec import method_options
     from terrainwave.names import MESH_KINDS, METHODS
     from terrainwave.tri import mesh_options
@@ -110,7 +104,6 @@ def own_sets() -> list[type["OptionSet"]]:
 
 
 def _option(argument: str) -> str:
-    """Return the option for a function's argument."""
     if any(argument in kind.names() for kind in own_sets()):
         return f"-o {argument}"
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
@@ -134,16 +127,13 @@ class Command(click.Command):
     has_target = True
 
     def get_short_help_str(self, limit: int = 0) -> str:  # noqa: ARG002  lines are wrapped
-        """Return the first sentence of the help, for the list of commands."""
         sentence = (self.help or "").split("\n\n")[0].partition(". ")[0]
         return " ".join(sentence.split()).rstrip(".") + "."
 
     def pointer(self, ctx: click.Context, message: str) -> str:  # noqa: ARG002  of some commands
-        """Return the command whose help explains `message`."""
         return f"{ctx.command_path} --help"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; errors name this command."""
         with _of_command(ctx):
             return super().parse_args(ctx, args)
 
@@ -160,7 +150,6 @@ class Command(click.Command):
             raise
 
     def _left(self) -> str:
-        """Return the part of an interruption's message on the files that it leaves."""
         names = [name for name in interrupts.complete() if "://" in name or os.path.lexists(name)]
         if len(names) > 1:
             return f"; {len(names):,} files are complete, {names[0]} the first"
@@ -189,20 +178,14 @@ class Commands(click.Group):
     """click group whose errors are one line each and which sets the exit status."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run a command as the process's only work, unless a program passes its own arguments.
-
-        Such a program continues afterwards and handles its signals itself.
-        """
+        """Run a command as the process's only work, unless a program passes its own arguments."""
         is_process = not args and kwargs.get("args") is None
         return self.main(*args, is_process=is_process, **kwargs)
 
     def main(
         self, *args: Any, standalone_mode: bool = True, is_process: bool = False, **kwargs: Any
     ) -> Any:
-        """Run a command; never returns in standalone mode.
-
-        With `is_process`, signals after the command's end are ignored: the process ends.
-        """
+        """Run a command; with `is_process`, signals after its end are ignored."""
         run: Any = super().main
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
@@ -244,11 +227,7 @@ class Commands(click.Group):
 
 
 def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block or --window") -> str:
-    """Return an error as one line, whichever library raised it.
-
-    `advice` says what to try if memory is short. With ``TERRAINWAVE_TRACEBACK=1`` the traceback of
-    an unexpected error is printed first.
-    """
+    """Return an error as one line; `advice` says what to try if memory is short."""
     if isinstance(error, TerrainwaveError):
         return message_of(error)
     if isinstance(error, MemoryError):
@@ -312,21 +291,16 @@ class Bar:
         if progress.n_bytes_in and progress.n_bytes_out:
             ratio = f"{progress.n_bytes_in / progress.n_bytes_out:.1f}:1"
         if progress.n_units_total:
-            units = (
-                f"{progress.n_units}/{progress.n_units_total} groups, {progress.n_levels} levels"
-            )
+            groups = f"{progress.n_units}/{progress.n_units_total} groups"
+            units = f"{groups}, {progress.n_levels} levels"
         elif progress.n_tasks_total:
             units = f"{progress.n_tasks:,}/{progress.n_tasks_total:,} tasks"
+        sample_bytes = progress.n_bytes_in / max(progress.done, 1)
         self._bar.update(
-            self._task,
-            completed=progress.done,
-            ratio=ratio,
-            units=units,
-            sample_bytes=progress.n_bytes_in / progress.done if progress.done else 0.0,
+            self._task, completed=progress.done, ratio=ratio, units=units, sample_bytes=sample_bytes
         )
 
     def echo(self, line: str) -> None:
-        """Print a line on stdout, above the bar if both are on the same terminal."""
         if self._bar is not None and sys.stdout.isatty():
             self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
         else:
@@ -369,14 +343,11 @@ def _rich_bar() -> Any:
     )
 
 
+@functools.cache
 def announce_compiling(*, quiet: bool = False) -> None:
     """Explain the seconds of a machine's first run, as soon as something is compiled."""
-    if not quiet:
-        _announce_once()
-
-
-@functools.cache
-def _announce_once() -> None:
+    if quiet:
+        return
     from terrainwave.coding.jit import on_first_compilation
     from terrainwave.coding.kernel_places import KernelPlace
 
@@ -393,30 +364,30 @@ def _announce_once() -> None:
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:
-    """Print names and values in two columns."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
-    for name, value in rows:
-        table.add_row(Text(name, style="bold"), Text(plain(value)))
-    Console(highlight=False).print(table)
+    _print(table, [[Text(name, style="bold"), Text(plain(value))] for name, value in rows])
 
 
 def print_grid(header: list[str], rows: list[list[str]]) -> None:
-    """Print a table of numbers, right-aligned, with a header."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     table = Table(box=None, padding=(0, 2, 0, 0))
     for name in header:
         table.add_column(Text(name), justify="right", no_wrap=True)
+    _print(table, [[Text(plain(cell)) for cell in row] for row in rows])
+
+
+def _print(table: Any, rows: list[list[Any]]) -> None:
+    from rich.console import Console
+
     for row in rows:
-        table.add_row(*(Text(plain(cell)) for cell in row))
+        table.add_row(*row)
     Console(highlight=False).print(table)
 
 
@@ -429,23 +400,16 @@ def print_json(fields: dict[str, Any], *, with_notes: bool = True) -> None:
 
 
 def print_json_line(fields: dict[str, Any]) -> None:
-    """Print one of several results as a line of JSON, flushed."""
     click.echo(json.dumps(_in_options(fields), allow_nan=False))
     sys.stdout.flush()
 
 
 def _in_options(fields: dict[str, Any]) -> Any:
-    """Return a result for JSON, its sentences in terms of the command line."""
-    told = {
-        name: [in_options(sentence) for sentence in value]
-        for name, value in fields.items()
-        if name in _SENTENCES and value
-    }
+    told = {name: [*map(in_options, fields[name])] for name in _SENTENCES if fields.get(name)}
     return plain_json(fields | told)
 
 
 def plain_json(value: Any) -> Any:
-    """Return `value` with strings for the numbers that JSON lacks."""
     if isinstance(value, dict):
         return {name: plain_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
@@ -456,18 +420,15 @@ def plain_json(value: Any) -> Any:
 
 
 def unit_behind(units: str | None) -> str:
-    """Return the unit to print after a height; "" if it is unknown."""
     return f" {plain(units)}" if units else ""
 
 
 def note_unit(units: str | None) -> None:
-    """Print a note that errors have no unit if the raster names none."""
     if not units:
         print_note("the raster names no vertical unit: errors are in the unit of its heights")
 
 
 def vertical_in_words(about: dict[str, Any]) -> str:
-    """Describe heights on the globe from the fields that files store."""
     if about["heights"] == AS_IS:
         return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
     grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""

@@ -40,8 +40,7 @@ class Terminated(KeyboardInterrupt):
 class _Repeater:
     """Thread that sends signals again after some seconds.
 
-    It runs from the start, as a handler cannot start one: the main thread may hold a lock that
-    every new thread needs.
+    It runs from the start: when a handler runs, the main thread may hold a lock of `threading`.
     """
 
     def __init__(self) -> None:
@@ -72,14 +71,8 @@ class _Repeater:
 def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
     """Raise `Terminated` in the main thread after a signal, at the next `interrupts.check`.
 
-    A handler that is not the default stays, such as nohup's. Only the first signal counts. Only
-    SIGKILL stops the clean-up; then the next run cleans up.
-
-    Parameters
-    ----------
-    is_process : bool
-        The process ends after the block, so signals are ignored from then on: the status is that of
-        the block.
+    A handler that is not the default stays, such as nohup's. Only the first signal counts. With
+    `is_process`, signals after the block are ignored: the status is that of the block.
     """
     asked = 0.0
     repeater = None
@@ -120,7 +113,6 @@ def ending_by_signals(*, is_process: bool = False) -> Iterator[None]:
 
 
 def _is_never_interrupted(frame: FrameType | None) -> bool:
-    """Return True if the main thread is in a package that an exception would break."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0] in _NEVER_IN:
             return True

@@ -37,13 +37,7 @@ _METRES = 30.0
 
 
 def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
-    """Run small jobs of some kinds, by default all; return the skipped ones with reasons.
-
-    Parameters
-    ----------
-    tasks : sequence of str
-        Of `TASKS`. All of them need files, so the kernels of ``compress`` are always compiled.
-    """
+    """Run small jobs of some `TASKS`, by default all; return the skipped ones with reasons."""
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
     from terrainwave.coding.kernel_places import kept
@@ -82,7 +76,6 @@ def _without_library() -> Iterator[None]:
 
 
 def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
-    """Compile kernels into a folder, in a process that uses no others; return their number."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may have some already
@@ -110,10 +103,7 @@ def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
 
 
 def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
-    """Return heights like those of a GeoTIFF of the Earth; sums of int32 need 64 bits.
-
-    Whole numbers are multiples of `quantum`.
-    """
+    """Return heights like a GeoTIFF's of the Earth; whole numbers are multiples of `quantum`."""
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
     heights = heights * (1e6 if dtype == "int32" else 1)
@@ -121,7 +111,6 @@ def _hills(dtype: str, quantum: int = 1) -> NDArray[np.generic]:
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
-    """Write a raster of each type, with and without voids; return them with bounds to try."""
     rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
@@ -132,7 +121,6 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
 
 
 def _write(path: Path, heights: NDArray[np.generic]) -> Path:
-    """Write a raster, with voids if its name asks for them."""
     has_void = path.stem.endswith("-void")
     is_float = heights.dtype.kind == "f"
     n_rows, n_cols = heights.shape
@@ -151,7 +139,6 @@ def _write(path: Path, heights: NDArray[np.generic]) -> Path:
 
 
 def _compress(folder: Path) -> None:
-    """Compress each type with each method, lossless and lossy, and prove the files."""
     for path, bound in _rasters(folder):
         is_common = path.stem.startswith(("int16", "float32"))
         for method in METHODS.values() if is_common else (DEFAULT_METHOD, SMALLEST_METHOD):
@@ -165,7 +152,6 @@ def _compress(folder: Path) -> None:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the files of whole rasters, without stored meshes."""
     return sorted(
         path
         for path in folder.glob("*.twz")
@@ -195,7 +181,6 @@ def _verify(folder: Path) -> None:
 
 
 def _patch(folder: Path) -> None:
-    """Patch a part of a lossy file of each method that supports it, and read the result."""
     stem = "int16-void"
     heights = _hills("int16", 2)
     upside_down = heights.max() + heights.min() - heights[:60, :70]

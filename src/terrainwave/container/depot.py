@@ -41,20 +41,13 @@ Result = TypeVar("Result")
 class Depot:
     """A directory that all machines of a run see: a path, or a URL that fsspec can write to.
 
-    Entries appear whole or not at all, so a task can run again after its machine was lost, or twice
-    at a time.
+    Entries appear whole or not at all, so a task can run again, or twice at a time.
     """
 
     root: str
 
     def put(self, name: str, data: bytes) -> None:
-        """Store bytes under a name.
-
-        Raises
-        ------
-        StorageError
-            If they cannot be written.
-        """
+        """Store bytes under a name; raise `StorageError` if they cannot be written."""
         data += zlib.crc32(data).to_bytes(_CRC_BYTES, "little")
         where = display_name(self._path(name))
         filesystem, root = _filesystem(self.root)
@@ -70,15 +63,7 @@ class Depot:
         _repeated(f"writing {where}", put)
 
     def get(self, name: str) -> bytes:
-        """Return the bytes under a name.
-
-        Raises
-        ------
-        StorageError
-            If the entry does not exist.
-        CorruptStreamError
-            If it is damaged.
-        """
+        """Return an entry; raise `StorageError` if missing, `CorruptStreamError` if damaged."""
         data = self._read(name, 0, None)
         end = max(len(data) - _CRC_BYTES, 0)
         if zlib.crc32(data[:end]) != int.from_bytes(data[end:], "little"):
@@ -89,7 +74,6 @@ class Depot:
         return data[:end]
 
     def part(self, name: str, offset: int, length: int) -> bytes:
-        """Return some bytes of an entry, unchecked."""
         return self._read(name, offset, length) if length else b""
 
     def _path(self, name: str) -> str:
@@ -103,24 +87,16 @@ class Depot:
         return _repeated(f"reading {display_name(self._path(name))}", read)
 
     def save(self, name: str, **arrays: Any) -> None:
-        """Store arrays under a name."""
         file = io.BytesIO()
         np.savez(file, **arrays)
         self.put(name, file.getvalue())
 
     def load(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return the arrays stored by `save`."""
         with np.load(io.BytesIO(self.get(name)), allow_pickle=False) as arrays:
             return dict(arrays)
 
     def remove(self, names: Iterable[str] = ()) -> None:
-        """Delete everything in the depot: `names`, and all entries that it lists.
-
-        Raises
-        ------
-        StorageError
-            If something cannot be deleted.
-        """
+        """Delete `names` and all entries that the depot lists, or raise `StorageError`."""
         with filesystem_errors(f"cannot remove temporary data in {display_name(self.root)}"):
             filesystem, path = _filesystem(self.root)
             if "file" not in filesystem.protocol:
@@ -134,7 +110,6 @@ class Depot:
 
 
 def _put_in_place(target: str, data: bytes, where: str) -> None:
-    """Write a file that gets its name when it is complete."""
     unfinished = Path(f"{target}.{secrets.token_hex(8)}")
     with storage_errors(f"cannot write {where}", advice=_ADVICE):
         try:
@@ -147,7 +122,6 @@ def _put_in_place(target: str, data: bytes, where: str) -> None:
 
 
 def _repeated(what: str, call: Callable[[], Result]) -> Result:
-    """Return the result of a call, retried if it fails."""
     for delay in _DELAYS:
         try:
             return call()
@@ -158,7 +132,6 @@ def _repeated(what: str, call: Callable[[], Result]) -> Result:
 
 
 def _delete(filesystem: Any, paths: list[str]) -> None:
-    """Delete the existing ones of some paths."""
     try:
         filesystem.rm(paths)
     except FileNotFoundError:  # unknown which: delete one after the other
@@ -168,7 +141,6 @@ def _delete(filesystem: Any, paths: list[str]) -> None:
 
 
 def _filesystem(root: str) -> tuple[Any, str]:
-    """Return fsspec's file system for a path or URL, and the path in it."""
     fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
     with filesystem_errors(f"cannot use {display_name(root)}"):
         filesystem, path = fsspec.url_to_fs(root)

@@ -28,9 +28,7 @@ _MISSING = (1 << 32) - 1
 _NAN = float("nan")
 _KINDS = ("height", "depth", "radius")
 
-# Row and column of a node among those of its height.
 Place = tuple[int, int]
-# Digests of nodes that have valid samples.
 Nodes = Mapping[Place, bytes]
 
 
@@ -39,14 +37,7 @@ def tile_digests(
 ) -> dict[Place, bytes]:
     """Return the digests of the tiles of a window that have valid samples.
 
-    Parameters
-    ----------
-    region : Region
-        The window, in samples of the full grid. It begins at a tile and ends with one, or at the
-        raster's edge.
-    raw : ndarray of the raster's dtype, shape (n_rows, n_cols)
-        Decoded heights; undefined in voids.
-    valid : ndarray of bool, shape (n_rows, n_cols)
+    The window begins at a tile and ends with one, or at the raster's edge. Voids may hold anything.
     """
     found = {}
     for row in range(0, region.n_rows, TILE):
@@ -78,7 +69,6 @@ class TileDigests:
         self._leaves: dict[Place, bytes] = {}
 
     def add(self, tiles: Nodes) -> None:
-        """Add tiles, each exactly once."""
         for (row, col), digest in tiles.items():
             leaf = row // FAN, col // FAN
             of_leaf = self._tiles.setdefault(leaf, {})
@@ -87,22 +77,13 @@ class TileDigests:
                 self._leaves[leaf] = _node(self._tiles.pop(leaf), leaf, _counts(self._shape, 0))
 
     def tree(self) -> "DigestTree":
-        """Return the tree of all tiles; missing tiles have no valid samples."""
         counts = _counts(self._shape, 0)
         rest = {leaf: _node(tiles, leaf, counts) for leaf, tiles in self._tiles.items()}
         return DigestTree(self._shape, self._leaves | rest)
 
 
 class DigestTree:
-    """The tree above the leaves of a raster, which are nodes of 4096 x 4096 samples.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the raster.
-    leaves : mapping of (row, col) to bytes
-        Digests of the leaves that have valid samples.
-    """
+    """The tree above the leaves of a raster: the nodes of 4096 x 4096 samples with valid ones."""
 
     def __init__(self, shape: tuple[int, int], leaves: Nodes) -> None:
         self.shape = shape
@@ -116,11 +97,9 @@ class DigestTree:
 
     @property
     def top(self) -> bytes:
-        """Return the digest of the node above all leaves."""
         return self._levels[-1].get((0, 0), VOID)
 
     def root(self, header: Header) -> str:
-        """Return the root in hexadecimal: the top with meaning and position of the heights."""
         return hashlib.sha256(_ROOT + _description(header) + self.top).hexdigest()
 
     def differences(self, other: "DigestTree") -> Iterator[Region]:
@@ -131,7 +110,6 @@ class DigestTree:
             yield Region(row * side, col * side, side, side).intersect(whole)
 
     def pack(self) -> bytes:
-        """Return the section of the tree, which ends a file."""
         digests = [self.top]
         for height in range(len(self._levels) - 1, 0, -1):
             counts, below = _counts(self.shape, height), self._levels[height - 1]
@@ -142,12 +120,10 @@ class DigestTree:
 
 
 def section_length(tail: bytes) -> int:
-    """Return the length of the section that ends with the bytes `tail`."""
     return len(VOID) * int(_TAIL.unpack(tail)[1]) + TAIL_LENGTH
 
 
 def unpack_digests(section: bytes, shape: tuple[int, int]) -> DigestTree:
-    """Read a section; the inverse of `DigestTree.pack`."""
     crc, n_digests = _TAIL.unpack(section[-TAIL_LENGTH:])
     body = section[:-TAIL_LENGTH]
     if zlib.crc32(body) != crc or len(body) != len(VOID) * n_digests:
@@ -180,16 +156,12 @@ assert SMALLEST_DIGESTS == len(VOID) + TAIL_LENGTH
 
 
 def _counts(shape: tuple[int, int], height: int) -> tuple[int, int]:
-    """Return rows and columns of the children of nodes of `height` + 1: tiles at height 0.
-
-    The nodes of height 1 are leaves.
-    """
+    """Return rows and columns of the children of nodes of `height` + 1 (1: leaves; 0: tiles)."""
     side = TILE * FAN**height
     return -(-shape[0] // side), -(-shape[1] // side)
 
 
 def _children(place: Place, counts: tuple[int, int]) -> Iterator[Place]:
-    """Yield the children of a node inside the raster, in raster order."""
     for row in range(FAN * place[0], min(FAN * (place[0] + 1), counts[0])):
         for col in range(FAN * place[1], min(FAN * (place[1] + 1), counts[1])):
             yield row, col

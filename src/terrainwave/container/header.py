@@ -14,6 +14,7 @@ import numpy as np
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
+    TerrainwaveError,
     TruncatedStreamError,
     UnsupportedVersionError,
 )
@@ -87,42 +88,26 @@ class Header:
     The raw height of quantum number k is ``(base + k) * quantum``, in the units of the source's
     stored values (before scale and offset).
 
-    Parameters
-    ----------
-    n_rows, n_cols : int
-        Size of the raster; 1 ... 2^31 each, at most 2^50 samples.
-    block : int
-        Cells per side of a block; a power of two, 32 ... 1024.
-    border_rings : int
-        1 or 3.
-    method : str
-        One of `names.METHODS`.
-    dtype : str
-        Data type of the source and of `read`, one of `DTYPE_CODES`.
-    effort : int
-        Effort of the encoder, 0 ... 9.
-    quantum : Fraction
-        Height of one quantum, raw units; > 0.
-    base : int
-        Added to every quantum number. ``(abs(base) + 2**31) * quantum.numerator < 2**63``.
-    step : int
-        Quantizer width in quanta; odd.
-    z_min, z_max : int
-        Smallest and largest valid height of the originals, in quanta, within ±2^30; 0 and -1 if
-        there is no valid sample.
-    max_error, effective_bound, rho : float
-        Requested bound, effective bound, and its share lost to rounding; raw units.
-    mesh : str
-        The triangulation of every block, one of `names.MESHES`.
-    mesh_tolerance : int
-        Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
-    features : int
-        Must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
+    `n_rows`, `n_cols`: size of the raster; 1 ... 2^31 each, at most 2^50 samples.
+    `block`: cells per side of a block; a power of two, 32 ... 1024.
+    `border_rings`: 1 or 3.
+    `method`: one of `names.METHODS`.
+    `dtype`: data type of the source and of `read`, one of `DTYPE_CODES`.
+    `effort`: effort of the encoder, 0 ... 9.
+    `quantum`: height of one quantum, raw units; > 0.
+    `base`: added to every quantum number. ``(abs(base) + 2**31) * quantum.numerator < 2**63``.
+    `step`: quantizer width in quanta; odd.
+    `z_min`, `z_max`: smallest and largest valid height of the originals, in quanta, within ±2^30; 0
+        and -1 if there is no valid sample.
+    `max_error`, `effective_bound`, `rho`: requested bound, effective bound, and its share lost to
+        rounding; raw units.
+    `mesh`: the triangulation of every block, one of `names.MESHES`.
+    `mesh_tolerance`: its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
+    `features`: must-understand mask: a sum of `HAS_VOIDS`, `HAS_REMAINDERS`, `IS_FAITHFUL`,
         `HAS_CORRECTIONS`, `HAS_DIGESTS`.
-    metadata : dict
-        The JSON metadata (`container.metadata`).
-    file_tables : bytes
-        Tables of the method for the whole file (FORMAT.md §4.3); opaque here, at most 64 KiB.
+    `metadata`: the JSON metadata (`container.metadata`).
+    `file_tables`: tables of the method for the whole file (FORMAT.md §4.3); opaque here, at most 64
+        KiB.
     """
 
     n_rows: int
@@ -148,7 +133,6 @@ class Header:
 
     @property
     def grid(self) -> Grid:
-        """Return the quadtree over the raster."""
         return Grid(self.n_rows, self.n_cols, self.block)
 
     has_voids = _Feature(HAS_VOIDS)
@@ -159,13 +143,11 @@ class Header:
 
     @property
     def moved(self) -> int:
-        """Return how far an earlier file may have moved heights, in quanta; part of the bound."""
         found = self.metadata.get("moved")
         return int(cast(float, found)) if found is not None else 0
 
     @property
     def bound_side(self) -> str:
-        """Return the side of originals on which heights lie: both, above or below."""
         found = self.metadata.get("bound")
         return str(found) if found in SIDES else BOTH
 
@@ -184,21 +166,14 @@ class Header:
 
     @property
     def quanta_error(self) -> float:
-        """Return the bound of quantised heights, without remainders, in raw units.
-
-        It applies to meshes, which do not use remainders; otherwise it is the effective bound.
-        """
+        """Return the bound of quantised heights, used in meshes, in raw units."""
         if self.has_remainders:
             return self.quantizer.quanta_error + self._moved_error
         return self.effective_bound
 
     @property
     def effective_error(self) -> float:
-        """Return the effective bound, in raw units.
-
-        With remainders, heights equal those of the raster, and its own earlier loss remains, which
-        `effective_bound` does not include.
-        """
+        """Return the effective bound with the earlier loss of exact heights, in raw units."""
         return self.effective_bound + (self._moved_error if self.has_remainders else 0.0)
 
     @property
@@ -207,7 +182,6 @@ class Header:
 
     @cached_property
     def quantizer(self) -> Quantizer:
-        """Return the quantizer of the file's heights."""
         return Quantizer(
             dtype=self.dtype,
             numerator=self.quantum.numerator,
@@ -222,7 +196,6 @@ class Header:
 
     @cached_property
     def codec_parameters(self) -> CodecParameters:
-        """Return the parameters that all coded units of the file share."""
         nodata = self.metadata.get("nodata")
         # A string is NaN or an infinity, which no quantum equals.
         number = nodata if isinstance(nodata, int | float) else None
@@ -262,14 +235,12 @@ def pack_header(header: Header, extents: Extents) -> bytes:
     """Return the 128 bytes of the header (FORMAT.md §4.1)."""
     if header.block.bit_count() != 1 or header.block < 1:
         raise InvalidHeightsError(f"block is {header.block}, not a power of two")
-    if header.method not in METHODS:
-        raise InvalidHeightsError(f"unknown method {header.method!r}; known: {', '.join(METHODS)}")
-    if header.mesh not in MESHES:
-        raise InvalidHeightsError(f"unknown mesh {header.mesh!r}; known: {', '.join(MESHES)}")
-    if header.dtype not in DTYPE_CODES:
-        raise InvalidHeightsError(f"data type {header.dtype} cannot be stored")
+    for name, known in (("method", METHODS), ("mesh", MESHES), ("dtype", DTYPE_CODES)):
+        found = getattr(header, name)
+        if found not in known:
+            raise InvalidHeightsError(f"unknown {name} {found!r}; known: {', '.join(known)}")
     for problem in _violations(header, extents):
-        raise InvalidHeightsError(problem.text)
+        raise InvalidHeightsError(str(problem))
     values = vars(header) | vars(extents)
     values |= {
         "magic": MAGIC,
@@ -301,17 +272,13 @@ class NotTwzError(CorruptStreamError):
 
 
 def _kind_of(data: bytes) -> str:
-    """Return the kind of a file whose first bytes are not those of a .twz file."""
     start = data[:32].lstrip().lower()
     kinds = (kind for magic, kind in _KINDS.items() if start.startswith(magic.lower()))
     return next(kinds, "another kind of file")
 
 
 def unpack_header(data: bytes) -> tuple[Header, Extents]:
-    """Read and check the header at the start of `data` (FORMAT.md §4.1).
-
-    `metadata` and `file_tables` of the result are empty: they lie outside these bytes.
-    """
+    """Read and check a header (FORMAT.md §4.1), without metadata and tables, which follow it."""
     if not data:
         raise TruncatedStreamError("found an empty file, expected a .twz file")
     if data[: len(MAGIC)] != MAGIC[: len(data)]:
@@ -358,7 +325,7 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     )
     extents = Extents(**_of_class(Extents, values))
     for problem in _violations(header, extents):
-        raise problem.error(problem.text)
+        raise problem
     return header, extents
 
 
@@ -386,7 +353,6 @@ def _check_version(data: bytes, stored: int) -> None:
 
 
 def check_optional_sections(data: bytes) -> None:
-    """Check the sections at the end of a header; no reader needs them (FORMAT.md §4.8)."""
     names, at = set[bytes](), 0
     while at < len(data):
         start = at + _SECTION.size
@@ -403,50 +369,50 @@ def check_optional_sections(data: bytes) -> None:
         names.add(name)
 
 
-@dataclass(frozen=True)
-class _Violation:
-    text: str
-    error: type[CorruptStreamError | UnsupportedVersionError] = CorruptStreamError
-
-
-def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
+def _violations(header: Header, extents: Extents) -> Iterator[TerrainwaveError]:
     """Yield violations of the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
     unknown = header.features & ~KNOWN_FEATURES
     if unknown:
-        yield _Violation(f"unknown features {unknown:#x}{NEWER}", UnsupportedVersionError)
+        yield UnsupportedVersionError(f"unknown features {unknown:#x}{NEWER}")
     for name, side in (("n_rows", header.n_rows), ("n_cols", header.n_cols)):
         if not 1 <= side <= MAX_SIDE:
-            yield _Violation(f"{name} is {side}, not 1 ... 2^31")
+            yield CorruptStreamError(f"{name} is {side}, not 1 ... 2^31")
     if header.n_rows * header.n_cols > MAX_SAMPLES:
-        yield _Violation(f"{header.n_rows} x {header.n_cols} samples are more than 2^50")
+        yield CorruptStreamError(f"{header.n_rows} x {header.n_cols} samples are more than 2^50")
     if not MIN_BLOCK_LOG2 <= header.block.bit_length() - 1 <= MAX_BLOCK_LOG2:
-        yield _Violation(f"block is {header.block}, not 32 ... 1024")
+        yield CorruptStreamError(f"block is {header.block}, not 32 ... 1024")
     if header.border_rings not in (1, 3):
-        yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
+        yield CorruptStreamError(f"border_rings is {header.border_rings}, not 1 or 3")
     if not 0 <= header.effort <= MAX_EFFORT:
-        yield _Violation(f"effort is {header.effort}, not 0 ... 9{NEWER}", UnsupportedVersionError)
+        yield UnsupportedVersionError(f"effort is {header.effort}, not 0 ... 9{NEWER}")
     numerator = header.quantum.numerator
     if not 0 < numerator <= MAX_QUANTUM_PART or header.quantum.denominator > MAX_QUANTUM_PART:
-        yield _Violation(f"quantum {header.quantum} is not positive and of parts < 2^63")
+        yield CorruptStreamError(f"quantum {header.quantum} is not positive and of parts < 2^63")
     # Keeps (base + k) * numerator inside int64 for every int32 k.
     if (abs(header.base) + 2**31) * numerator > 2**63 - 1:
-        yield _Violation(f"base {header.base} and quantum {header.quantum} overflow 64 bits")
+        yield CorruptStreamError(
+            f"base {header.base} and quantum {header.quantum} overflow 64 bits"
+        )
     if not (1 <= header.step <= MAX_STEP and header.step & 1):
-        yield _Violation(f"step is {header.step}, not an odd number below 2^31")
+        yield CorruptStreamError(f"step is {header.step}, not an odd number below 2^31")
     if (header.z_min, header.z_max) != (0, -1) and not (
         -MAX_Z <= header.z_min <= header.z_max <= MAX_Z and header.z_max - header.z_min < MAX_Z
     ):
-        yield _Violation(f"heights {header.z_min} ... {header.z_max} quanta are out of range")
+        yield CorruptStreamError(
+            f"heights {header.z_min} ... {header.z_max} quanta are out of range"
+        )
     errors = (header.max_error, header.effective_bound, header.rho)
     if not all(math.isfinite(error) and error >= 0 for error in errors):
-        yield _Violation("an error bound is negative or not finite")
+        yield CorruptStreamError("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
-        yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+        yield CorruptStreamError(
+            f"effective bound {header.effective_bound} exceeds {header.max_error}"
+        )
     yield from _violations_of_features(header)
     yield from _violations_of_sizes(header, extents)
 
 
-def _violations_of_features(header: Header) -> Iterator[_Violation]:
+def _violations_of_features(header: Header) -> Iterator[TerrainwaveError]:
     method = METHODS[header.method]
     for is_used, is_known, what in (
         (
@@ -459,33 +425,37 @@ def _violations_of_features(header: Header) -> Iterator[_Violation]:
         (header.has_remainders, method.has_remainders, "remainders"),
     ):
         if is_used and not is_known:
-            yield _Violation(f"{what} of method {header.method}, which has none")
+            yield CorruptStreamError(f"{what} of method {header.method}, which has none")
     if header.z_min > header.z_max and not header.has_voids:
-        yield _Violation("no sample is valid, and none may be void")
+        yield CorruptStreamError("no sample is valid, and none may be void")
     if header.has_corrections and (not method.is_patchable or header.step == 1):
         what = f"corrections of method {header.method} and step {header.step}"
-        yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
+        yield UnsupportedVersionError(f"{what}{NEWER}")
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
-            yield _Violation(f"remainders of {header.dtype}, which has none")
+            yield CorruptStreamError(f"remainders of {header.dtype}, which has none")
         if header.effective_bound or header.step != 1:
-            yield _Violation("remainders beside a step or a bound that is not 0")
+            yield CorruptStreamError("remainders beside a step or a bound that is not 0")
     elif header.rho > header.max_error:
-        yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
+        yield CorruptStreamError(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
 
 
-def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[_Violation]:
+def _violations_of_sizes(header: Header, extents: Extents) -> Iterator[TerrainwaveError]:
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
-        yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
+        yield CorruptStreamError(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
     if header.mesh == "none" and header.mesh_tolerance:
-        yield _Violation("a mesh tolerance without meshes")
+        yield CorruptStreamError("a mesh tolerance without meshes")
     if not 1 <= extents.metadata_length <= MAX_METADATA:
-        yield _Violation(f"metadata of {extents.metadata_length} bytes, not 1 ... 2^20")
+        yield CorruptStreamError(f"metadata of {extents.metadata_length} bytes, not 1 ... 2^20")
     if not 0 <= extents.parameters_length <= MAX_PARAMETERS:
-        yield _Violation(f"method parameters of {extents.parameters_length} bytes, more than 2^16")
+        yield CorruptStreamError(
+            f"method parameters of {extents.parameters_length} bytes, more than 2^16"
+        )
     if not 1 <= extents.top_page_length <= MAX_PAGE:
-        yield _Violation(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
+        yield CorruptStreamError(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
     end = extents.top_start + extents.top_page_length
     end += SMALLEST_DIGESTS * header.has_digests
     if not end <= extents.file_size < 2**63:
-        yield _Violation(f"file size {extents.file_size} does not hold the first {end} bytes")
+        yield CorruptStreamError(
+            f"file size {extents.file_size} does not hold the first {end} bytes"
+        )

@@ -27,7 +27,6 @@ _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 
 
 def pack_metadata(metadata: dict[str, object]) -> bytes:
-    """Return the deflated bytes of `metadata`: sorted keys, so equal metadata give equal bytes."""
     try:
         text = json.dumps(
             metadata, sort_keys=True, ensure_ascii=False, allow_nan=False, separators=(",", ":")
@@ -47,7 +46,6 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
 
 
 def unpack_metadata(packed: bytes) -> dict[str, object]:
-    """Return the metadata in `packed`; unknown keys are kept unchanged."""
     data = inflate(packed, MAX_METADATA, "metadata", read_annex("dictionary.txt"))
     try:
         text = data.decode("utf-8")
@@ -81,7 +79,6 @@ def without_origin(metadata: dict[str, object]) -> dict[str, object]:
 
 
 def _nesting(text: str) -> int:
-    """Return the depth of nested brackets outside of strings."""
     depth = deepest = 0
     for match in _TOKEN.finditer(text):
         if match[0] in "[{":

@@ -5,14 +5,15 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain, pairwise
-from typing import NamedTuple
+from itertools import accumulate, chain, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE, NEWER
+from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -39,7 +40,6 @@ class PageLayout(_Lists):
 
     @cached_property
     def keys_in_file(self) -> list[Block]:
-        """Return the keys in file order."""
         return [self.keys[row] for row in self.order]
 
     @cached_property
@@ -57,10 +57,9 @@ class PageLayout(_Lists):
 
 @lru_cache(maxsize=32)
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
-    """Return the keys on the page of the segment of `head` (FORMAT.md §3.3).
+    """Return the keys on the page of the segment of `head` (FORMAT.md §3.3), shared and constant.
 
-    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid. The lists are
-    shared and must not be changed.
+    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
     """
     # In one walk, as a key's blocks are the next layer's keys, or the children of the last layer.
     if head is None:
@@ -82,18 +81,9 @@ def page_layout(grid: Grid, head: Block | None) -> PageLayout:
 class Page:
     """The columns of an index page; rows in the order of its `PageLayout`.
 
-    Parameters
-    ----------
-    payload_lengths, payload_crcs, mesh_lengths, mesh_crcs : ndarray of uint32, shape (n_keys,)
-    flags : ndarray of uint8, shape (n_keys,)
-    codes : ndarray of uint8, shape (n_blocks, 4)
-        z_min, z_max, error and mesh error of each block, opaque here.
-    child_page_lengths : ndarray of uint32, shape (n_children,)
-    child_lengths : ndarray of uint64, shape (n_children,)
-        Page and body of a child. 0 if the segment is absent.
-    first_child : int
-        File offset of the bodies of the child segments, which are contiguous. 0 if the layout has
-        no children.
+    `codes`, shape (n_blocks, 4), are z_min, z_max, error and mesh error of each block, opaque here.
+    `child_lengths` are page and body of a child, 0 if the segment is absent; the bodies are
+    contiguous from the offset `first_child` on, which is 0 if the layout has no children.
     """
 
     payload_lengths: NDArray[np.uint32]
@@ -108,17 +98,14 @@ class Page:
 
     @property
     def sections_length(self) -> int:
-        """Return the number of bytes of all payloads and meshes."""
         return int(self.payload_lengths.sum(dtype=np.int64) + self.mesh_lengths.sum(dtype=np.int64))
 
     @property
     def body_length(self) -> int:
-        """Return the number of bytes of the body: the pages of children, payloads and meshes."""
         return int(self.child_page_lengths.sum(dtype=np.int64)) + self.sections_length
 
     @property
     def child_body_lengths(self) -> list[int]:
-        """Return the number of bytes of the body of each child."""
         # Not numpy's difference: untrusted uint64 could wrap.
         pages = self.child_page_lengths.tolist()
         return [
@@ -127,7 +114,6 @@ class Page:
 
     @property
     def children_end(self) -> int:
-        """Return the file offset after the last child's body."""
         return self.first_child + sum(self.child_body_lengths)
 
     @property
@@ -138,80 +124,70 @@ class Page:
         )
 
 
+# Columns in the order of the file, the type of their numbers, and whose rows they are: of keys,
+# blocks or children. The codes of a block are packed as one number.
+_COLUMNS = (
+    ("payload_lengths", "<u4", 0), ("mesh_lengths", "<u4", 0), ("flags", "u1", 0),
+    ("codes", "<u4", 1), ("child_page_lengths", "<u4", 2), ("child_lengths", "<u8", 2),
+    ("payload_crcs", "<u4", 0), ("mesh_crcs", "<u4", 0),
+)  # fmt: skip
+
+
 def empty_page(layout: PageLayout) -> Page:
     """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
-    n_keys, n_blocks, n_children = map(len, layout)
-    return Page(
-        payload_lengths=np.zeros(n_keys, dtype=np.uint32),
-        payload_crcs=np.zeros(n_keys, dtype=np.uint32),
-        mesh_lengths=np.zeros(n_keys, dtype=np.uint32),
-        mesh_crcs=np.zeros(n_keys, dtype=np.uint32),
-        flags=np.zeros(n_keys, dtype=np.uint8),
-        codes=np.zeros((n_blocks, N_CODES), dtype=np.uint8),
-        child_page_lengths=np.zeros(n_children, dtype=np.uint32),
-        child_lengths=np.zeros(n_children, dtype=np.uint64),
-    )
+    zeros: dict[str, Any] = {
+        name: np.zeros(len(layout[rows]), dtype) for name, dtype, rows in _COLUMNS
+    }
+    return Page(**zeros | {"codes": np.zeros((len(layout.blocks), N_CODES), dtype=np.uint8)})
 
 
 def pack_columns(page: Page) -> bytes:
     """Return the deflated columns of `page` except `first_child` (FORMAT.md §3.3)."""
-    columns = (
-        _pack_planes(page.payload_lengths, "<u4"),
-        _pack_planes(page.mesh_lengths, "<u4"),
-        page.flags.tobytes(),
-        page.codes.T.tobytes(),
-        _pack_planes(page.child_page_lengths, "<u4"),
-        _pack_planes(page.child_lengths, "<u8"),
-        _pack_planes(page.payload_crcs, "<u4"),
-        _pack_planes(page.mesh_crcs, "<u4"),
-    )
-    return deflate(b"".join(columns))
+    return deflate(b"".join(_planes(page, name, dtype) for name, dtype, _ in _COLUMNS))
+
+
+def _planes(page: Page, name: str, dtype: str) -> bytes:
+    """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
+    column: NDArray[np.generic] = getattr(page, name)
+    column = np.ascontiguousarray(column if name == "codes" else column.astype(dtype))
+    return column.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
 
 
 def page_length(columns: bytes) -> int:
-    """Return the length of the page with these packed columns."""
     return _PREFIX.size + len(columns)
 
 
 def pack_page(columns: bytes, first_child: int) -> bytes:
     """Return the bytes of a page from its packed columns (FORMAT.md §3.3).
 
-    `first_child` is not deflated: offsets depend on the lengths of pages, which therefore must not
-    depend on offsets.
+    `first_child` is not deflated: lengths of pages must not depend on offsets.
     """
     body = _PREFIX.pack(0, first_child)[4:] + columns
     return zlib.crc32(body).to_bytes(4, "little") + body
 
 
 def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
-    """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
-
-    Checks only the page itself, not the positions of its segments in the file.
-    """
+    """Read and check a page (FORMAT.md §3.3), but not the positions of its segments."""
     if len(data) < _MIN_PAGE:
         raise CorruptStreamError(f"{name} has only {len(data)} bytes")
     crc, first_child = _PREFIX.unpack_from(data)
     if crc != zlib.crc32(data[4:]):
         raise CorruptStreamError(f"checksum of {name} does not match")
-    n_keys, n_blocks, n_children = map(len, layout)
-    expected = 17 * n_keys + N_CODES * n_blocks + 12 * n_children
+    sizes = {name: (np.dtype(kind).itemsize, len(layout[rows])) for name, kind, rows in _COLUMNS}
+    expected = sum(width * count for width, count in sizes.values())
     content = inflate(data[_PREFIX.size :], expected, name)
     if len(content) != expected:
         raise CorruptStreamError(f"{name} inflates to {len(content)} bytes, not {expected}")
-    columns, at = {}, 0
-    for column, dtype, count in (
-        ("payload_lengths", "<u4", n_keys), ("mesh_lengths", "<u4", n_keys),
-        ("flags", "u1", n_keys), ("codes", "u1", N_CODES * n_blocks),
-        ("child_page_lengths", "<u4", n_children), ("child_lengths", "<u8", n_children),
-        ("payload_crcs", "<u4", n_keys), ("mesh_crcs", "<u4", n_keys),
-    ):  # fmt: skip
-        width = np.dtype(dtype).itemsize
+    columns, at = dict[str, Any](), 0
+    for column, dtype, _ in _COLUMNS:
+        width, count = sizes[column]
         planes = np.frombuffer(content, np.uint8, width * count, at).reshape(width, count)
         at += planes.size
-        numbers = np.ascontiguousarray(planes.T).view(dtype).reshape(count)
-        columns[column] = numbers.astype(np.dtype(dtype).newbyteorder("="))  # native
-    codes = columns.pop("codes").reshape(N_CODES, n_blocks).T
-    page = Page(codes=np.ascontiguousarray(codes), first_child=first_child, **columns)
+        rows = np.ascontiguousarray(planes.T)
+        if column != "codes":
+            rows = rows.view(dtype).reshape(count).astype(np.dtype(dtype).newbyteorder("="))
+        columns[column] = rows
+    page = Page(first_child=first_child, **columns)
     _check(page, name)
     return page
 
@@ -239,31 +215,23 @@ def _check(page: Page, name: str) -> None:
         raise CorruptStreamError(f"{name} points at segments below the finest level")
 
 
-def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
-    """Return all lowest bytes, then all second ones, ...: similar bytes together deflate better."""
-    data = np.ascontiguousarray(column.astype(dtype))
-    return data.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
-
-
 def describe_head(head: Block | None) -> str:
-    """Return the name of a segment for messages."""
     if head is None:
         return "the top segment"
     return f"the segment of block (level {head.level}, row {head.row}, col {head.col})"
 
 
 def describe_key(key: Block) -> str:
-    """Return the name of a payload's owner for messages."""
     if key.is_root_key:
         return f"root block (level 0, row {key.row}, col {key.col})"
     return f"group (level {key.level}, row {key.row}, col {key.col})"
 
 
 def file_order(keys: Sequence[Block]) -> list[int]:
-    """Return the rows of a page in the order of their payloads in the file (FORMAT.md §3.2).
+    """Return the rows of a segment's page in the order of their payloads (FORMAT.md §3.2).
 
-    `keys` are those of one segment. Keys of its second level are followed by their children, and
-    the fourth level is reversed: a window then needs fewer ranges.
+    Keys of the second level are followed by their children, and the fourth level is reversed: a
+    window then needs fewer ranges.
     """
     layers: list[list[int]] = [[] for _ in range(SEGMENT_LEVELS)]
     for row, key in enumerate(keys):
@@ -276,13 +244,97 @@ def file_order(keys: Sequence[Block]) -> list[int]:
 
 
 def payload_starts(page: Page, layout: PageLayout, start: int) -> Sequence[int]:
-    """Return the offset of each key's payload from that of the first in the file (FORMAT.md §3.2).
-
-    The mesh of a key follows its payload.
-    """
+    """Return the offset of each key's payload, which its mesh follows (FORMAT.md §3.2)."""
     order = layout.order
     lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
     starts = np.empty(len(order), dtype=np.int64)
     starts[order] = start + np.cumsum(lengths) - lengths
     offsets: list[int] = starts.tolist()
     return offsets
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Index page of a segment with the positions of its payloads, meshes and children.
+
+    Its payloads and meshes lie from `sections_start` to `end`; `page_starts` and `child_starts` are
+    those of its children's pages and bodies.
+    """
+
+    head: Block | None
+    layout: PageLayout
+    page: Page
+    sections_start: int
+    end: int
+    payload_starts: Sequence[int]
+    page_starts: Sequence[int]
+    child_starts: Sequence[int]
+
+    def payload_range(self, row: int) -> ByteRange:
+        return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
+
+    def mesh_range(self, row: int) -> ByteRange:
+        return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
+
+    def codes(self, block: Block) -> tuple[int, int, int, int]:
+        z_min, z_max, error, mesh_error = self.page.codes[self.layout.block_rows[block]].tolist()
+        return z_min, z_max, error, mesh_error
+
+    def page_range(self, child: Block) -> ByteRange:
+        row = self.layout.child_rows[child]
+        return ByteRange(self.page_starts[row], int(self.page.child_page_lengths[row]))
+
+    def child_range(self, child: Block) -> ByteRange:
+        row = self.layout.child_rows[child]
+        return ByteRange(self.child_starts[row], self.page.child_body_lengths[row])
+
+
+def segment_of_page(head: Block | None, layout: PageLayout, page: Page, body_start: int) -> Segment:
+    pages = page.child_page_lengths.tolist()
+    sections_start = body_start + sum(pages)
+    return Segment(
+        head=head,
+        layout=layout,
+        page=page,
+        sections_start=sections_start,
+        end=sections_start + page.sections_length,
+        payload_starts=payload_starts(page, layout, sections_start),
+        page_starts=list(accumulate(pages, initial=body_start))[:-1],
+        child_starts=list(accumulate(page.child_body_lengths, initial=page.first_child))[:-1],
+    )
+
+
+# Of a mesh above the finest level whose error is not measured: its bound is computed with the mesh.
+# As an error it exceeds that of any mesh, as the format requires (FORMAT.md §4.4).
+UNMEASURED = 255
+
+
+# An error code c means (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
+def encode_error(error: int) -> int:
+    """Return the smallest code of an error of at least `error` quanta (0 … 2^31)."""
+    if error <= 0:
+        return 0
+    exponent = max(error.bit_length() - 1, 0)
+    for code in range(8 * exponent, 8 * exponent + 9):
+        if code and decode_error(code) >= error:
+            return min(code, 255)
+    return 255
+
+
+def decode_error(code: int) -> int:
+    """Return the error in quanta of `code` (0 … 255)."""
+    return 0 if code == 0 else ((8 + code % 8) << code // 8) >> 3
+
+
+def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    span = outer_high - outer_low
+    if span <= 0 or low > high:
+        return 0, 0
+    below = (low - outer_low) * 255 // span
+    above = (outer_high - high) * 255 // span
+    return min(max(below, 0), 255), min(max(above, 0), 255)
+
+
+def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    span = outer_high - outer_low
+    return outer_low + below * span // 255, outer_high - above * span // 255

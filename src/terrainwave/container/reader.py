@@ -6,19 +6,14 @@ size, metadata, index pages and positions of their segments, checksums of payloa
 
 import logging
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from terrainwave.cache import Cache
-from terrainwave.container.digests import (
-    TAIL_LENGTH,
-    DigestTree,
-    section_length,
-    unpack_digests,
-)
+from terrainwave.container.digests import TAIL_LENGTH, DigestTree, section_length, unpack_digests
 from terrainwave.container.header import (
     HEADER_SIZE,
     SMALLEST_DIGESTS,
@@ -29,13 +24,14 @@ from terrainwave.container.header import (
 )
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
+    Segment,
     describe_head,
     describe_key,
     empty_page,
     page_layout,
+    segment_of_page,
     unpack_page,
 )
-from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.sources.byte_source import ByteSource
 from terrainwave.container.sources.ranges import ByteRange, RoundReader
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
@@ -48,35 +44,13 @@ _CHECK_BATCH = 4 * 1024 * 1024
 
 
 class Container:
-    """Open .twz file: bytes by key, no heights.
+    """Open .twz file: bytes by key, no heights. Thread-safe; a context manager.
 
-    A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level
-    -1. Keys and blocks outside of the grid raise `KeyError`. Thread-safe; can be pickled
-    if its source can; a context manager.
-
-    Parameters
-    ----------
-    source : ByteSource
-        The bytes; closed by `close`.
-    cached_segments : int
-        Number of index pages to cache (about 50 kB each).
-    may_be_cut : bool
-        Also open a file that ends too early: missing parts count as damaged.
-
-    Attributes
-    ----------
-    n_missing : int
-        Bytes missing from such a file; else 0.
-
-    Raises
-    ------
-    TerrainwaveError
-        If the header, the metadata or the top page cannot be read.
-
-    Notes
-    -----
-    Opening reads the first 16 KiB and, if the top page ends later, a second range: 64 KiB at most
-    for metadata up to 30 kB. Memory does not depend on the size of the raster.
+    A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level -1.
+    Keys and blocks outside of the grid raise `KeyError`. With `may_be_cut` a file that ends too
+    early is opened, too: its `n_missing` bytes count as damaged. Opening reads the first 16 KiB
+    and, if the top page ends later, a second range: 64 KiB at most for metadata up to 30 kB. Memory
+    does not depend on the size of the raster, but on `cached_segments`: index pages of about 50 kB.
     """
 
     def __init__(
@@ -130,44 +104,37 @@ class Container:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return segment
 
-    # Index
-
     def segment(self, head: Block | None) -> Segment:
-        """Return the index of the segment of `head`; None is the top one."""
         return self.segments([head])[head]
 
     def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
-        """Return the indices of several segments; missing pages of a level take one `read_many`."""
-        indices: dict[Block | None, Segment] = {}
-        missing: list[Block] = []
-        for head in heads:
-            segment = self._top if head is None else self._segments.get(head)
-            if segment is not None:
-                indices[head] = segment
-            elif head is not None:
-                missing.append(head)
-        if missing:
-            indices.update(self._load(list(dict.fromkeys(missing))))
-        return indices
-
-    def _load(self, heads: Sequence[Block]) -> dict[Block | None, Segment]:
-        parent_heads = [self._parent_head(head) for head in heads]
-        known = self.segments(list(dict.fromkeys(parent_heads)))
-        parents = [known[parent_head] for parent_head in parent_heads]
-        ranges = [parent.page_range(head) for head, parent in zip(heads, parents, strict=True)]
-        loaded: dict[Block | None, Segment] = {}
+        """Return the indices of several segments; missing pages of a level take one request."""
         with self._blaming_change():
-            for head, parent, data in zip(
-                heads, parents, self.source.read_many(ranges), strict=True
-            ):
-                loaded[head] = self._unpack_segment(head, parent, data)
-        self._keep(loaded)
-        return loaded
+            known = self._located(heads, self.rounds(), lambda _: ())
+        return {head: known[head] for head in heads}
 
-    def _keep(self, loaded: Mapping[Block | None, Segment]) -> None:
-        for head, segment in loaded.items():
-            if head is not None:
+    def _located(
+        self,
+        heads: Iterable[Block | None],
+        reader: RoundReader,
+        wanted: Callable[[Mapping[Block | None, Segment]], Iterable[ByteRange]],
+    ) -> dict[Block | None, Segment]:
+        """Return the indices of segments and of those above them.
+
+        Each missing level takes one round, which also fetches what is `wanted` by the known
+        indices.
+        """
+        known = self._known_segments(heads)
+        while missing := self._next_segments(heads, known):
+            places = {head: parent.page_range(head) for head, parent in missing.items()}
+            here = {head: place for head, place in places.items() if reader.has(place)}
+            if not here:  # otherwise they may locate more to fetch
+                reader.fetch([*places.values(), *wanted(known)])
+            for head, place in (here or places).items():
+                segment = self._unpack_segment(head, missing[head], reader.take(place))
                 self._segments.put(head, segment)
+                known[head] = segment
+        return known
 
     @contextmanager
     def _blaming_change(self) -> Iterator[None]:
@@ -212,10 +179,7 @@ class Container:
         raise KeyError(f"the grid has no {describe_key(key)}")
 
     def present_segments(self) -> Iterator[Segment]:
-        """Yield the index of every segment that takes bytes, parents first.
-
-        A file of some hundred bytes may claim 2^50 void samples: walk this, not the grid.
-        """
+        """Yield the index of every segment that takes bytes, parents first."""
         waiting: list[Block | None] = [None]
         while waiting:
             segment = self.segment(waiting.pop())
@@ -223,39 +187,22 @@ class Container:
             children = segment.layout.children
             waiting += [child for child in children if segment.page_range(child).length]
 
-    # Payloads
-
     def payload(self, key: Block) -> bytes:
-        """Return the payload of `key`.
-
-        Raises `CorruptStreamError` if its checksum or an index page on the way to it is wrong.
-        """
+        """Return the payload of `key`; raise `CorruptStreamError` for a wrong checksum."""
         return self.payloads([key])[0]
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return the payloads of `keys` in this order; near ones are read in one request.
 
-        Notes
-        -----
         Each missing level of index pages takes one round of requests, which also fetches the
-        payloads whose position is known by then; one more round fetches the rest. Gaps to bridge
-        are chosen for all rounds together (`container.sources.ranges`).
+        payloads whose position is known by then; one more round fetches the rest.
         """
         heads = {key: self._head_of(key) for key in keys}
-        known = self._known_segments(heads.values())
         reader = self.rounds()
         with self._blaming_change():
-            while missing := self._next_segments(heads.values(), known):
-                places = {head: parent.page_range(head) for head, parent in missing.items()}
-                here = {head: place for head, place in places.items() if reader.has(place)}
-                if not here:  # otherwise they may locate more to fetch
-                    reader.fetch([*places.values(), *_payload_places(heads, known).values()])
-                loaded: dict[Block | None, Segment] = {
-                    head: self._unpack_segment(head, missing[head], reader.take(place))
-                    for head, place in (here or places).items()
-                }
-                self._keep(loaded)
-                known.update(loaded)
+            known = self._located(
+                heads.values(), reader, lambda known: _payload_places(heads, known).values()
+            )
             of_payloads = _payload_places(heads, known)
             reader.fetch(of_payloads.values())
             payloads = {key: reader.take(place) for key, place in of_payloads.items()}
@@ -267,7 +214,6 @@ class Container:
         return [payloads[key] for key in keys]
 
     def rounds(self) -> RoundReader:
-        """Return a reader of ranges in rounds, which has the file's beginning already."""
         return RoundReader(self.source, self._start)
 
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
@@ -299,11 +245,7 @@ class Container:
         return [segment.payload_range(row).length for segment, row in self._rows(keys)]
 
     def payload_parts(self, parts: Sequence[tuple[Block, int, int]]) -> list[bytes]:
-        """Return bytes start … end of payloads; near ones are read in one request.
-
-        Each of `parts` is (key, start, end), inside the payload. Parts are not checked by
-        checksums.
-        """
+        """Return bytes of payloads, unchecked; each of `parts` is (key, start, end)."""
         ranges = []
         for (segment, row), (_, start, end) in zip(
             self._rows([key for key, _, _ in parts]), parts, strict=True
@@ -315,33 +257,23 @@ class Container:
         return self.source.read_many(ranges)
 
     def mesh(self, key: Block) -> bytes:
-        """Return the mesh section of `key`; empty if it has none."""
         ((segment, row),) = self._rows([key])
         data = self.source.read(*segment.mesh_range(row))
         with self._blaming_change():
             check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
         return data
 
-    def flags(self, key: Block) -> int:
-        ((segment, row),) = self._rows([key])
-        return int(segment.page.flags[row])
-
     def codes(self, block: Block) -> tuple[int, int, int, int]:
-        """Return the codes of `block`: z_min, z_max, error, mesh error."""
         if not self.grid.contains(block):
             raise KeyError(f"the grid has no {block}")
         head = None if block.level == 0 else self.grid.segment_head(block.parent)
         return self.segment(head).codes(block)
 
     def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
-        heads = [self._head_of(key) for key in keys]
-        segments = self.segments(heads)
-        return [
-            (segments[head], segments[head].layout.key_rows[key])
-            for key, head in zip(keys, heads, strict=True)
-        ]
-
-    # Digests
+        heads = {key: self._head_of(key) for key in keys}
+        segments = self.segments([*heads.values()])
+        found = ((segments[heads[key]], key) for key in keys)
+        return [(segment, segment.layout.key_rows[key]) for segment, key in found]
 
     def digests_place(self) -> ByteRange:
         """Return the position of the digests at the file's end; of length 0 if it has none."""
@@ -354,25 +286,18 @@ class Container:
         return ByteRange(size - length, length)
 
     def digests(self) -> DigestTree | None:
-        """Return the digests of the file's heights; None if it has none.
-
-        Raises `CorruptStreamError` if they are damaged.
-        """
+        """Return the digests of heights, if any; raise `CorruptStreamError` if damaged."""
         if not self.header.has_digests:
             return None
         with self._blaming_change():
             data = self.source.read(*self.digests_place())
             return unpack_digests(data, (self.header.n_rows, self.header.n_cols))
 
-    # Check of the whole file
-
     def check(self) -> Iterator[str]:
-        """Read every byte and yield problems, one line each; nothing if the file is sound.
+        """Read every byte once and yield problems, one line each; nothing if the file is sound.
 
-        Notes
-        -----
-        One sequential pass. Nothing is checked below an unreadable page. Memory: the index pages of
-        one level; of the finest, where most are, only one.
+        Nothing is checked below an unreadable page. Memory: the index pages of one level; of the
+        finest, where most are, only one.
         """
         yield from self._check_payloads(self._top)
         byte_pos, end, layer = self._top.end, self._top.end, [self._top]
@@ -390,7 +315,7 @@ class Container:
                         continue
                 byte_pos = start + length
                 try:
-                    segment = self._load([child])[child]
+                    segment = self.segment(child)
                 except TerrainwaveError as error:
                     yield str(error)
                     continue
@@ -433,8 +358,6 @@ class Container:
                 except CorruptStreamError as error:
                     yield str(error)
 
-    # Closing
-
     def close(self) -> None:
         self._start = b""
         self.source.close()
@@ -470,6 +393,41 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
-    """Raise `CorruptStreamError` if the bytes of a key do not match its checksum."""
     if zlib.crc32(data) != crc:
         raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Bytes of each part of a file; their sum is the file.
+
+    `heights`: payloads of each level, the coarsest first; one number if a payload spans several.
+    """
+
+    metadata: int
+    tables: int
+    index: int
+    heights: tuple[int, ...]
+    meshes: int
+    digests: int
+
+
+def parts_of(container: Container) -> Parts:
+    extents = container.extents
+    index, meshes = extents.top_page_length, 0
+    heights = [0] * (container.grid.k_max + 1)
+    for segment in container.present_segments():
+        page = segment.page
+        index += int(page.child_page_lengths.sum(dtype="int64"))
+        meshes += int(page.mesh_lengths.sum(dtype="int64"))
+        for key, length in zip(segment.layout.keys, page.payload_lengths.tolist(), strict=True):
+            # The key of a group is the block above it; that of a root lies on level -1.
+            heights[key.level + 1] += length
+    return Parts(
+        extents.parameters_start,
+        extents.parameters_length,
+        index,
+        tuple(heights),
+        meshes,
+        container.digests_place().length,
+    )

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import BinaryIO, NamedTuple
 
-from terrainwave.container.page import MAX_PAYLOAD, N_CODES
+from terrainwave.container.page import MAX_PAYLOAD
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.grid.quadtree import Block
 
@@ -20,10 +20,7 @@ _PLACE = struct.Struct("<QQ")  # of a section: offset and length
 
 @contextmanager
 def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
-    """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`.
-
-    If the disk is full, it ends with `advice`.
-    """
+    """Turn an `OSError` into a `StorageError`: `action`, reason, and `advice` for a full disk."""
     try:
         yield
     except OSError as error:
@@ -47,25 +44,16 @@ def naming_full_disk(action: str) -> Iterator[None]:
 def cannot_write(
     path: str | os.PathLike[str], error: BaseException | str, *, advice: str = ""
 ) -> StorageError:
-    """Return the error of a file, or of temporary files in a directory, that cannot be written.
-
-    `error` is the system's, or another library's text for one.
-    """
+    """Return the error of a file, or temporary files in a directory, that cannot be written."""
     what = f"temporary files in {path}" if os.path.isdir(path) else os.fspath(path)
     return _storage_error(f"cannot write {what}", error, advice)
 
 
 def _storage_error(action: str, error: BaseException | str, advice: str) -> StorageError:
-    if _is_disk_full(error):
+    is_full = getattr(error, "errno", None) in _DISK_FULL
+    if is_full or os.strerror(errno.ENOSPC).lower() in str(error).lower():
         return StorageError(f"{action}: the disk is full{advice}")
-    reason = getattr(error, "strerror", None) or error
-    return StorageError(f"{action}: {reason}")
-
-
-def _is_disk_full(error: BaseException | str) -> bool:
-    if isinstance(error, OSError) and error.errno in _DISK_FULL:
-        return True
-    return os.strerror(errno.ENOSPC).lower() in str(error).lower()
+    return StorageError(f"{action}: {getattr(error, 'strerror', None) or error}")
 
 
 # Large temporary files may lie on another disk than the file itself.
@@ -73,16 +61,12 @@ TEMPORARY_ADVICE = "; free space there, or name another directory with `temp_dir
 _DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
-class Entry(NamedTuple):
-    """Positions of a payload and its mesh in the spool, and their fields of the page."""
+class Section(NamedTuple):
+    """Position of a payload or a mesh in a `SectionFile`, and its checksum."""
 
-    offset: int
-    payload_length: int
-    payload_crc: int
-    mesh_offset: int
-    mesh_length: int
-    mesh_crc: int
-    flags: int
+    offset: int = 0
+    length: int = 0
+    crc: int = 0
 
 
 class LikeSegment(NamedTuple):
@@ -91,18 +75,13 @@ class LikeSegment(NamedTuple):
     head: Block
 
     def key_there(self, key: Block, head: Block) -> Block:
-        """Return the key there that corresponds to a key in the segment of `head`."""
         depth = key.level - head.level
         row, col = self.head.row - head.row << depth, self.head.col - head.col << depth
         return Block(key.level, key.row + row, key.col + col)
 
 
 class SectionFile:
-    """Temporary file of payloads and meshes in any order; thread-safe.
-
-    They stay in memory up to 1 MiB, the rest goes to a file without a name in `directory`. Errors
-    of a full disk end with `advice`.
-    """
+    """Temporary file of payloads and meshes in any order, in memory up to 1 MiB; thread-safe."""
 
     def __init__(
         self, directory: str | os.PathLike[str], *, advice: str = TEMPORARY_ADVICE
@@ -114,7 +93,6 @@ class SectionFile:
         self._lock = threading.Lock()
 
     def append(self, data: bytes) -> int:
-        """Store bytes; return their offset."""
         with self._lock:
             offset = self._n_written + len(self._buffer)
             self._buffer += data
@@ -132,7 +110,6 @@ class SectionFile:
                 return self._file.read(length)
 
     def close(self) -> None:
-        """Delete everything."""
         with self._lock:
             if self._file is not None:
                 self._file.close()
@@ -161,10 +138,7 @@ def write_all(file: BinaryIO, data: bytes | bytearray) -> None:
 
 
 class StoredSegment(NamedTuple):
-    """A segment without children whose page and places of sections are in a file.
-
-    `n_bytes` are those of its sections. Of an absent one all lengths are 0.
-    """
+    """A segment without children whose page and places of sections are in a file."""
 
     file: SectionFile
     offset: int
@@ -176,93 +150,51 @@ class StoredSegment(NamedTuple):
         return self.file.read(self.offset, self.page_length)
 
     def sections(self) -> Iterator[bytes]:
-        """Yield payloads and meshes."""
         places = self.file.read(self.offset + self.page_length, _PLACE.size * self.n_sections)
         for place in _PLACE.iter_unpack(places):
             yield self.file.read(*place)
 
 
 class SegmentSpool:
-    """Stores the payloads of one segment in any order; `assemble` writes them in page order."""
+    """Stores the payloads of one segment in any order; `assemble` writes them in page order.
+
+    A key is the parent of a group, or one of `Grid.root_keys`. `codes` of a key are four bytes for
+    each block of its payload, in Morton order.
+    """
 
     def __init__(self, file: SectionFile) -> None:
         self._file = file
-        self._entries: dict[Block, Entry] = {}
-        self._codes: dict[Block, bytes] = {}
+        self.payloads: dict[Block, Section] = {}
+        self.meshes: dict[Block, Section] = {}
+        self.codes: dict[Block, bytes] = {}
 
-    def add(
-        self,
-        key: Block,
-        payload: bytes,
-        flags: int = 0,
-        codes: bytes | None = None,
-        mesh: bytes = b"",
-    ) -> None:
-        """Store the payload of `key`: the parent of a group, or one of `Grid.root_keys`.
-
-        `codes` are four bytes for each block of the payload, in Morton order; they may be set later
-        by `set_codes`.
-        """
-        if len(payload) > MAX_PAYLOAD:
-            raise ValueError(f"payload of {len(payload)} bytes: too long")
-        if not 0 <= flags <= 255:
-            raise ValueError(f"flags {flags} do not fit a byte")
-        if key in self._entries:
-            raise ValueError(f"{key} has already been added")
-        offset = self._file.append(payload)
-        self._entries[key] = Entry(offset, len(payload), zlib.crc32(payload), 0, 0, 0, flags)
-        if mesh:
-            self.set_mesh(key, mesh)
-        if codes is not None:
-            self.set_codes(key, codes)
+    def add(self, key: Block, payload: bytes) -> None:
+        self.payloads[key] = self._stored(payload)
 
     def set_mesh(self, key: Block, mesh: bytes) -> None:
-        """Set or replace the mesh of an added key."""
-        if len(mesh) > MAX_PAYLOAD:
-            raise ValueError(f"mesh of {len(mesh)} bytes: too long")
-        self._entries[key] = self._entries[key]._replace(
-            mesh_offset=self._file.append(mesh), mesh_length=len(mesh), mesh_crc=zlib.crc32(mesh)
-        )
+        self.meshes[key] = self._stored(mesh)
 
-    def set_codes(self, key: Block, codes: bytes) -> None:
-        """Set or replace the codes of the blocks of the payload of `key`."""
-        limit = N_CODES if key.is_root_key else 4 * N_CODES
-        if len(codes) % N_CODES or len(codes) > limit:
-            raise ValueError(f"{len(codes)} bytes of codes for {key}")
-        self._codes[key] = bytes(codes)
-
-    def keys(self) -> list[Block]:
-        """Return the keys of all entries so far."""
-        return list(self._entries)
-
-    def entry(self, key: Block) -> Entry:
-        """Return the row of `key`; `KeyError` if it was not added."""
-        return self._entries[key]
-
-    def codes(self, key: Block) -> bytes:
-        """Return the codes of `key`; `KeyError` if they were not set."""
-        return self._codes[key]
+    def _stored(self, data: bytes) -> Section:
+        if len(data) > MAX_PAYLOAD:
+            raise ValueError(f"a payload or mesh of {len(data)} bytes is too long")
+        return Section(self._file.append(data), len(data), zlib.crc32(data))
 
     def chunks(self, keys: list[Block]) -> Iterator[bytes]:
-        """Yield the payload, then the mesh, of each of `keys`; one payload in memory at a time.
+        """Yield payload and mesh of each key, or raise `StorageError` for damage."""
+        for offset, length, crc in self._sections(keys):
+            data = self._file.read(offset, length)
+            if len(data) != length or zlib.crc32(data) != crc:
+                raise StorageError("a file of temporary data is damaged")
+            yield data
 
-        Raises
-        ------
-        StorageError
-            If the temporary file is damaged.
-        """
+    def _sections(self, keys: list[Block]) -> Iterator[Section]:
         for key in keys:
-            entry = self._entries[key]
-            for offset, length, crc in (entry[:3], entry[3:6]):
-                data = self._file.read(offset, length)
-                if len(data) != length or zlib.crc32(data) != crc:
-                    raise StorageError("a file of temporary data is damaged")
-                yield data
+            yield self.payloads[key]
+            if key in self.meshes:
+                yield self.meshes[key]
 
     def stored(self, page: bytes, keys: list[Block]) -> StoredSegment:
-        """Return the segment in a form that takes little memory."""
-        entries = [self._entries[key] for key in keys if page]
-        places = [place for one in entries for place in (one[:2], one[3:5]) if place[1]]
+        places = [one[:2] for one in self._sections(keys) if page and one.length]
         data = page + b"".join(_PLACE.pack(*place) for place in places)
         n_bytes = sum(length for _, length in places)
         return StoredSegment(self._file, self._file.append(data), len(page), len(places), n_bytes)

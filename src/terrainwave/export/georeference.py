@@ -14,7 +14,7 @@ from rasterio.errors import CRSError
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.place.description import Description, read_projjson
-from terrainwave.raster_io.geotiff.sidecar import (
+from terrainwave.raster_io.geotiff.sink import (
     SIDECAR,
     crs_of_geotiff,
     read_place,

@@ -21,12 +21,8 @@ _TIMEOUT = 15.0  # seconds
 def connected(address: str) -> Iterator[Any]:
     """Yield a client of the scheduler at `address`, such as ``tcp://10.0.0.5:8786``.
 
-    Raises
-    ------
-    ClusterError
-        If nothing answers there, it has no workers, or they have another terrainwave.
-    TerrainwaveError
-        If dask.distributed is not installed.
+    Raises `ClusterError` if nothing answers, or the workers are missing or have another
+    terrainwave.
     """
     distributed = need("distributed", extra="distributed", purpose="a cluster")
     addressing = need("distributed.comm.addressing", extra="distributed", purpose="a cluster")
@@ -64,10 +60,7 @@ def _without_closed_connections() -> Iterator[None]:
 
 
 def check_workers(client: Any) -> None:
-    """Raise `ClusterError` if a cluster has no workers, or some with another terrainwave.
-
-    Another version may give other bytes.
-    """
+    """Raise `ClusterError` without workers, or with another terrainwave: perhaps other bytes."""
     versions = client.run(worker_version, on_error="return")
     if not versions:
         raise ClusterError("the cluster has no workers: start some with dask worker")
@@ -81,5 +74,4 @@ def check_workers(client: Any) -> None:
 
 
 def worker_version() -> str:
-    """Return the version of this process's terrainwave."""
     return __version__

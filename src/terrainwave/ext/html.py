@@ -21,7 +21,6 @@ from terrainwave.render.look.ramps import N_COLORS, ramp_colors
 from terrainwave.render.look.water import DEEP, find_water, may_have_water, waves_of
 from terrainwave.render.scene.frame import Frame, frame_of
 
-# Pixels of the picture's longer side.
 _SIDE = 320
 _VOID = 238
 # From the north-west, 45 degrees above the horizon, as is usual on maps.
@@ -34,7 +33,6 @@ _LONGEST_TEXT = 200
 
 
 def terrain_html(terrain: TerrainFile) -> str:
-    """Return the HTML for a notebook: picture, size, bound, levels and position."""
     try:
         data = base64.b64encode(encode_png(picture(terrain))).decode()
         image = (
@@ -84,13 +82,7 @@ def _escaped(text: object) -> str:
 
 
 def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
-    """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey.
-
-    Raises
-    ------
-    TerrainwaveError
-        If the heights cannot be read.
-    """
+    """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey."""
     levels = range(terrain.n_levels)
     level = next((k for k in levels if max(terrain.level_shape(k)) >= _SIDE), levels[-1])
     n_rows, n_cols = terrain.level_shape(level)
@@ -126,7 +118,6 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
 def _ramp(
     heights: NDArray[np.float64], low: float, high: float, sea: float | None
 ) -> NDArray[np.uint8]:
-    """Return the colours of heights from `low` to `high`; others are clamped."""
     share = np.clip((heights - low) / ((high - low) or 1.0), 0, 1)
     index = (share * (N_COLORS - 1)).astype(np.int64)
     colours: NDArray[np.uint8] = ramp_colors("tints", low, high, sea)[index]
@@ -136,7 +127,6 @@ def _ramp(
 def _depths(
     terrain: TerrainFile, frame: Frame, heights: NDArray[np.float64], valid: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which samples are the sea's floor, by heights upwards in the file's unit."""
     if frame.body != EARTH or not may_have_water(terrain, frame):
         return np.zeros(heights.shape, dtype=np.bool_)
     metres, waves = heights * frame.error_metres, waves_of(terrain, frame)
@@ -144,7 +134,6 @@ def _depths(
 
 
 def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return Lambert's cosine of each sample, 1 facing the light."""
     if min(heights.shape) < 2:
         return np.ones(heights.shape)
     south, east = np.gradient(heights)

@@ -29,7 +29,6 @@ from terrainwave.render.look.colorings import AUTO, SEA_LEVEL
 
 _log = logging.getLogger(__name__)
 
-# File in every such folder.
 LIST = "terrains.json"
 _STATIC = Path(__file__).parent / "serve" / "static"
 # The reader's folders in js/ of the repository; an installed package has a copy.
@@ -75,33 +74,11 @@ def publish_site(
 ) -> list[PublishedTerrain]:
     """Write a folder that shows .twz files from any static web server.
 
-    Parameters
-    ----------
-    paths : list of str
-        Paths or URLs of .twz files; they are copied.
-    directory : path
-        Gets index.html, the page's and the reader's modules, the files and terrains.json; it
-        appears complete or not at all.
-    radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-    encoding : {"mapbox", "terrarium"}
-        Encoding of the page's terrain-RGB tiles; a warning names each file with heights outside its
-        range.
-    sea_level : {"auto", "none"} or float
-        Height in metres below which the page's colours show water, or none; by default 0 if there
-        are heights below -450 m.
-    overwrite : bool
-        Replace an existing folder of this kind.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If browsers cannot read a file's method, the raster has no position on a globe or none that
-        polynomials can express, or two files have the same name.
-    CorruptStreamError
-        If a file is not a .twz file.
-    StorageError
-        If something cannot be read or written.
+    It has index.html, the page's and the reader's modules, copies of the files and terrains.json,
+    and appears complete or not at all. Options are those of `serve.app.make_app`. Raises
+    `InvalidHeightsError` if browsers cannot read a file's method, the raster has no position on a
+    globe or none that polynomials can express, or two files have the same name. Raises
+    `CorruptStreamError` if a file is not a .twz file, `StorageError` if reading or writing fails.
     """
     tiling.encoding_of(encoding)
     SEA_LEVEL.checked("sea_level", sea_level)
@@ -120,25 +97,8 @@ def write_site(
 ) -> list[PublishedTerrain]:
     """Write a folder with a page that shows and proves the .twz files of its visitors.
 
-    The folder is that of `publish_site` with three samples. The page opens files that are dropped
-    on it or named by a URL, and compares them with their original GeoTIFFs.
-
-    Parameters
-    ----------
-    directory : path
-        As in `publish_site`.
-    overwrite : bool
-        Replace an existing folder of this kind.
-
-    Returns
-    -------
-    list of PublishedTerrain
-        The samples.
-
-    Raises
-    ------
-    StorageError
-        If something cannot be read or written.
+    The folder is that of `publish_site` with three samples, which are returned. The page opens
+    files that are dropped on it or named by a URL, and compares them with their original GeoTIFFs.
     """
     samples = sorted((reader_directory() / _SITE / "samples").glob("*.twz"))
     paths = [str(path) for path in samples]
@@ -189,7 +149,6 @@ def _publish(
 
 
 def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, FittedPlaces]:
-    """Return an open file on its globe, and the polynomials of its samples."""
     try:
         globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
         return globe, fit_places(globe)
@@ -215,11 +174,7 @@ def _write_page(new: Path, *, is_site: bool) -> None:
 
 
 def _early(new: Path, *, is_site: bool) -> str:
-    """Return the end of the head of a published folder's page.
-
-    Browsers then request all modules at once, not each when another one imports it, and the worker
-    starts while MapLibre is loading.
-    """
+    """Return the end of the head of a published page, which requests all modules at once."""
     modules = [*_modules(new / "static" / "published.js"), *_modules(new / "static" / "page.js")]
     site = new / "terrainwave" / _SITE
     modules += _modules(site / "site.js") if is_site else []
@@ -241,7 +196,6 @@ def _early(new: Path, *, is_site: bool) -> str:
 
 
 def _modules(module: Path) -> list[Path]:
-    """Return a module and all its imports."""
     found = [module]
     for name in _IMPORT.findall(module.read_text(encoding="utf-8")):
         found += _modules((module.parent / name).resolve())
@@ -249,10 +203,7 @@ def _modules(module: Path) -> list[Path]:
 
 
 def _copy_tree(source: Path, target: Path, ignored: tuple[str, ...] = ()) -> None:
-    """Copy the contents of a folder, with the modes of new files: the package's may be read-only.
-
-    Files whose names end in `ignored` are left out.
-    """
+    """Copy a folder, with the modes of new files: the package's may be read-only."""
     target.mkdir(parents=True)
     for path in sorted(source.iterdir()):
         if path.is_dir():
@@ -262,13 +213,7 @@ def _copy_tree(source: Path, target: Path, ignored: tuple[str, ...] = ()) -> Non
 
 
 def reader_directory() -> Path:
-    """Return the folder of the JavaScript reader: in the package, or in its repository.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is in neither.
-    """
+    """Return the folder of the JavaScript reader: in the package, or in its repository."""
     here = Path(__file__)
     for found in (here.parent / "serve" / "reader", here.parents[3] / "js"):
         if (found / "src" / "index.js").is_file():

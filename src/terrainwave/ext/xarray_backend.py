@@ -2,7 +2,8 @@
 
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,14 +77,10 @@ class TerrainwaveBackend(BackendEntrypoint):
         cache_bytes, threads
             As for `Terrain`.
         """
-        terrain = TerrainFile(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
-        try:
+        with _opened(filename_or_obj, cache_bytes=cache_bytes, threads=threads) as terrain:
             dataset = terrain_dataset(terrain, level, mask_and_scale=mask_and_scale)
             dataset = dataset.drop_vars(_names(drop_variables), errors="ignore")
-        except BaseException:
-            terrain.close()
-            raise
-        dataset.set_close(terrain.close)
+            dataset.set_close(terrain.close)
         return dataset
 
     def open_groups_as_dict(
@@ -99,18 +96,13 @@ class TerrainwaveBackend(BackendEntrypoint):
 
         The levels share one open file and its cache; the root ``/`` holds their common variables.
         """
-        terrain = TerrainFile(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
-        try:
+        names = _names(drop_variables)
+        with _opened(filename_or_obj, cache_bytes=cache_bytes, threads=threads) as terrain:
             groups = {"/": xr.Dataset(attrs={"n_levels": terrain.n_levels})}
             for level in range(terrain.n_levels):
                 dataset = terrain_dataset(terrain, level, mask_and_scale=mask_and_scale)
-                groups[f"/level_{level}"] = dataset.drop_vars(
-                    _names(drop_variables), errors="ignore"
-                )
-        except BaseException:
-            terrain.close()
-            raise
-        groups["/"].set_close(terrain.close)
+                groups[f"/level_{level}"] = dataset.drop_vars(names, errors="ignore")
+            groups["/"].set_close(terrain.close)
         return groups
 
     def open_datatree(self, filename_or_obj: Any, **options: Any) -> xr.DataTree:
@@ -119,6 +111,17 @@ class TerrainwaveBackend(BackendEntrypoint):
         tree = xr.DataTree.from_dict(groups)
         tree.set_close(groups["/"].close)
         return tree
+
+
+@contextmanager
+def _opened(source: Any, **options: Any) -> Iterator[TerrainFile]:
+    """Yield an open file, which stays open unless the block raises."""
+    terrain = TerrainFile(source, **options)
+    try:
+        yield terrain
+    except BaseException:
+        terrain.close()
+        raise
 
 
 def _names(names: str | Iterable[str] | None) -> list[str]:

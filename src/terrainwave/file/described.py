@@ -20,8 +20,8 @@ from terrainwave.arguments import (
     in_one_line,
 )
 from terrainwave.codec.registry import check_file_tables
-from terrainwave.container.codes import UNMEASURED, decode_error, decode_range
 from terrainwave.container.header import Header
+from terrainwave.container.page import UNMEASURED, decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.sources.opening import open_source
@@ -37,7 +37,7 @@ from terrainwave.read.places import LevelPlace, LevelWindow, region_of_window
 if TYPE_CHECKING:
     from affine import Affine
 
-    from terrainwave.container.parts import Parts
+    from terrainwave.container.reader import Parts
 
 DEFAULT_CACHE_BYTES = 256 << 20
 
@@ -189,13 +189,7 @@ class DescribedFile:
         return self.header.quanta_error * abs(self._raster.scale)
 
     def level_index(self, level: int) -> int:
-        """Return `level` counted from 0; negative levels count from the full grid, as Python does.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If there is no such level.
-        """
+        """Return `level` counted from 0; negative ones count from the full grid, as Python does."""
         n = self.n_levels
         names = f"0 (coarsest) to {n - 1}, or -1 (full grid) to -{n}"
         if n == 1:
@@ -228,11 +222,6 @@ class DescribedFile:
             Resolution level, as in `read`.
         window : optional
             A window as in `read`, but not clipped.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If there is no such level, or `window` is not a window.
         """
         row, col = 0, 0
         if window is not None:
@@ -285,7 +274,7 @@ class DescribedFile:
 
     def parts(self) -> "Parts":
         """Return the bytes of each part of the file; reads the whole index."""
-        from terrainwave.container.parts import parts_of
+        from terrainwave.container.reader import parts_of
 
         parts = parts_of(self.container)
         if METHODS[self.header.method].is_tiled:  # of several levels together
@@ -357,13 +346,7 @@ class DescribedFile:
     def region(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
     ) -> Region:
-        """Return the part of a level that a window or bounds name, clipped to the level.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If both are given, one is malformed, or they miss the level.
-        """
+        """Return the part of a level that a window or bounds name, clipped to the level."""
         return self.checked_window(window, bounds=bounds, level=level).region
 
     def checked_window(

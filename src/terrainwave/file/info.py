@@ -7,7 +7,7 @@ import numpy as np
 
 from terrainwave.file.described import DescribedFile
 from terrainwave.names import EFFORTS
-from terrainwave.raster_io.earlier_loss import earlier_files
+from terrainwave.raster_io.raster_info import earlier_files
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,14 @@ class Info:
         return fields
 
 
+# Fields that header and metadata have by the same names.
+_OF_HEADER = ("n_rows", "n_cols", "dtype", "method", "block", "border_rings", "mesh")
+_OF_RASTER = (
+    "crs", "coordinate_epoch", "nodata", "scale", "offset", "area_or_point", "description",
+    "color_interpretation",
+)  # fmt: skip
+
+
 def info_of(terrain: DescribedFile) -> Info:
     """Return a summary of the file, from its header and its first index page."""
     header, raster = terrain.header, terrain.raster_info
@@ -98,9 +106,8 @@ def info_of(terrain: DescribedFile) -> Info:
     return Info(
         path=str(terrain.name),
         n_bytes=terrain.container.source.size,
-        n_rows=header.n_rows,
-        n_cols=header.n_cols,
-        dtype=header.dtype,
+        **{name: getattr(header, name) for name in _OF_HEADER},
+        **{name: getattr(raster, name) for name in _OF_RASTER},
         bits_per_sample=8 * terrain.container.source.size / n_samples,
         ratio=n_samples * terrain.dtype.itemsize / terrain.container.source.size,
         max_error=terrain.max_error,
@@ -115,31 +122,19 @@ def info_of(terrain: DescribedFile) -> Info:
         units_from=terrain.height_unit.source,
         units_of_crs=terrain.height_unit.of_crs,
         heights_are=terrain.height_unit.word,
-        method=header.method,
         effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
         faithful=header.is_faithful,
-        block=header.block,
-        border_rings=header.border_rings,
-        mesh=header.mesh,
         mesh_tolerance=header.mesh_tolerance / 16 * quantum,
         measured_meshes=terrain.has_measured_meshes,
         n_levels=terrain.n_levels,
         level_shapes=tuple(terrain.grid.level_shape(level) for level in range(terrain.n_levels)),
-        crs=raster.crs,
-        coordinate_epoch=raster.coordinate_epoch,
         transform=tuple(raster.transform),
         bounds=terrain.bounds,
-        nodata=raster.nodata,
-        scale=raster.scale,
-        offset=raster.offset,
-        area_or_point=raster.area_or_point,
-        description=raster.description,
         minimum=min(physical) if has_heights else None,
         maximum=max(physical) if has_heights else None,
         voids=raster.mask_kind,
         has_voids=header.has_voids,
         tags=dict(raster.tags),
         band_tags=dict(raster.band_tags),
-        color_interpretation=raster.color_interpretation,
         earlier=tuple(file._asdict() for file in earlier_files(header.metadata)),
     )

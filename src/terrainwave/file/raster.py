@@ -11,9 +11,8 @@ from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
 from terrainwave.raster_io.backend import RasterBackend
-from terrainwave.raster_io.earlier_loss import EarlierFile, EarlierLoss, earlier_files
 from terrainwave.raster_io.even import Even
-from terrainwave.raster_io.raster_info import stored_nodata
+from terrainwave.raster_io.raster_info import EarlierFile, EarlierLoss, earlier_files, stored_nodata
 from terrainwave.raster_io.source import RasterSource
 
 
@@ -23,15 +22,7 @@ def raster_source(source: Any, **options: Any) -> RasterSource:
 
 
 class TerrainBackend(RasterBackend):
-    """A .twz file as a backend that reads decoded heights (`raster_io.backend`).
-
-    Parameters
-    ----------
-    source : path, URL or TerrainFile
-        An open file is not closed.
-    georeference : bool
-        False leaves out transform and CRS.
-    """
+    """A .twz file as a backend that reads decoded heights; an open file is not closed."""
 
     def __init__(self, source: Any, *, georeference: bool = True) -> None:
         self._owned = not isinstance(source, TerrainFile)
@@ -58,28 +49,17 @@ class TerrainBackend(RasterBackend):
         self.earlier = EarlierLoss(bound, files)
 
     def tags(self) -> dict[str, Any]:
-        info = self._info
-        return {
-            "crs": info.crs if self._is_placed else None,
-            "coordinate_epoch": info.coordinate_epoch if self._is_placed else None,
-            "units": info.units,
-            "scale": info.scale,
-            "offset": info.offset,
-            "area_or_point": info.area_or_point,
-            "description": info.description,
-            "color_interpretation": info.color_interpretation,
-            "tags": info.tags,
-            "band_tags": info.band_tags,
-        }
+        names = ("units", "scale", "offset", "area_or_point", "description", "color_interpretation")
+        fields = {name: getattr(self._info, name) for name in (*names, "tags", "band_tags")}
+        placed = {name: getattr(self._info, name) for name in ("crs", "coordinate_epoch")}
+        return fields | (placed if self._is_placed else dict.fromkeys(placed))
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return decoded heights and validity."""
         return self._terrain.read_with_mask((row, col, n_rows, n_cols))
 
     def even(self, region: Region) -> Even | None:
-        """Return a void for a region without payloads; else None."""
         if next(self._terrain.coded_parts(region), None) is not None:
             return None
         return Even(stored_nodata(self._info.void_value, self.dtype), False)

@@ -16,7 +16,7 @@ import numpy as np
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.container.codes import decode_error
+from terrainwave.container.page import decode_error
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from terrainwave.codec.refiner import Mask
-from terrainwave.container.codes import UNMEASURED, decode_error, encode_error
 from terrainwave.container.header import MAX_MESH_TOLERANCE
+from terrainwave.container.page import UNMEASURED, decode_error, encode_error
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.tri.block_mesh import FRACTION_BITS
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.container.codes import UNMEASURED, decode_error
+from terrainwave.container.page import UNMEASURED, decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances

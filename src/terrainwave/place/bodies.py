@@ -18,7 +18,6 @@ _RADII = {MOON: (1.730e6, 1.745e6), MARS: (3.36e6, 3.42e6)}
 
 
 def body_of(description: "Description | None", ellipsoid: "Ellipsoid") -> str:
-    """Return the body of a CRS, by the IAU's code, else by the radius."""
     if description is not None and description.iau_code is not None:
         return _IAU.get(description.iau_code // 100, OTHER)
     return body_of_radius(ellipsoid.axis)

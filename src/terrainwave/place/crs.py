@@ -20,8 +20,7 @@ _WKT_START = re.compile(r"\s*[A-Z][A-Z0-9_]*\s*[\[(]")
 def parse_crs(text: str | None) -> CRS | None:
     """Return the CRS of ``"AUTH:CODE"`` or WKT; warn and return None if it is neither.
 
-    Other texts are refused, because they may come from an untrusted file: given a URL or a path,
-    GDAL would fetch it.
+    Given a URL or a path from an untrusted file, GDAL would fetch it.
     """
     if text is None:
         return None
@@ -43,15 +42,7 @@ def parse_crs(text: str | None) -> CRS | None:
 
 
 def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
-    """Return the CRS of a CF grid mapping without WKT.
-
-    Raises
-    ------
-    ImportError
-        Without pyproj.
-    CRSError, KeyError, RuntimeError, TypeError, ValueError
-        If pyproj cannot read the mapping.
-    """
+    """Return the CRS of a CF grid mapping without WKT; pyproj's errors if it cannot read it."""
     from pyproj import CRS as ProjCRS
 
     return CRS.from_wkt(ProjCRS.from_cf(mapping).to_wkt())
@@ -75,7 +66,6 @@ def format_crs(crs: CRS | None) -> str | None:
 
 
 def is_exact(crs: CRS | None) -> bool:
-    """Return whether the text of `format_crs` gives the same system back."""
     return _said_of(crs).is_exact if crs else True
 
 
@@ -110,5 +100,4 @@ def _say(crs: CRS) -> _Said:
     return _Said(text, back is not None and back.to_wkt() == own)
 
 
-# By the texts of a CRS.
 _SAID: Cache[tuple[str, ...], _Said] = Cache(64)

@@ -22,7 +22,6 @@ _KINDS = {
     "ProjectedCRS": PROJECTED,
     "DerivedProjectedCRS": PROJECTED,
 }
-# Members of a CRS that lead to the one with the axes.
 _INNER = ("source_crs", "base_crs")
 # Names of ellipsoidal vertical systems and datums, in GeoTIFF's keys and ESRI's WKT.
 _ELLIPSOIDAL = ("ellipsoid", "ellipsoidal")
@@ -45,7 +44,6 @@ class Axis(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return the name and unit for a picture's axis."""
         name = self.name.split("(")[0].strip().lower().removeprefix("geodetic ")
         return f"{name or 'coordinate'}, {_UNIT_LABELS.get(self.unit.lower(), self.unit)}"
 
@@ -83,15 +81,11 @@ class Description(NamedTuple):
 
     @property
     def in_degrees(self) -> bool:
-        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
     def directions(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return (east, north) of a step along x and along y.
-
-        Around a pole, and if the system does not state it, x points right and y up, as on its map.
-        """
+        """Return (east, north) of steps along x and y; right and up if they are not stated."""
         along_x, along_y = (_HORIZONTAL.get(axis.direction) for axis in (self.x, self.y))
         if along_x is None or along_y is None or 0 == _cross(along_x, along_y):
             return (1.0, 0.0), (0.0, 1.0)
@@ -133,7 +127,6 @@ def _described(crs_text: str) -> Description | None:
 
 
 def read_projjson(told: dict[str, Any]) -> Description:
-    """Return the description in a PROJJSON document; by default metres to the right and up."""
     flat, vertical = _parts(told)
     axes = flat.get("coordinate_system", {}).get("axis", [])
     x, y = (
@@ -152,10 +145,6 @@ def read_projjson(told: dict[str, Any]) -> Description:
 
 
 def added_vertical(one: Any, other: Any) -> tuple[str, str] | None:
-    """Return the name and the compound CRS of a vertical CRS that only one of two has.
-
-    None if they differ in anything else. The second result is a text for GDAL.
-    """
     told = [crs.to_dict(projjson=True) for crs in (one, other)]
     for compound, plain in (told, told[::-1]):
         parts = compound.get("components", [])
@@ -180,7 +169,6 @@ def _core(told: Any) -> Any:
 
 
 def _parts(told: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Return the CRS that has x and y, and the vertical one of a compound CRS."""
     while told.get("type") == "BoundCRS":
         told = told.get("source_crs", {})
     if told.get("type") != "CompoundCRS":
@@ -225,7 +213,6 @@ def _vertical(vertical: dict[str, Any] | None, axes: list[dict[str, Any]]) -> Ve
 
 
 def _radius(told: dict[str, Any]) -> float | None:
-    """Return the semi-major axis of a CRS's ellipsoid in metres, or of its base system."""
     for owner in (told.get("datum"), told.get("datum_ensemble")):
         ellipsoid = (owner or {}).get("ellipsoid", {})
         axis = ellipsoid.get("semi_major_axis", ellipsoid.get("radius"))

@@ -26,7 +26,6 @@ class Ellipsoid(NamedTuple):
         return self.axis * (1 - self.e2) / root**3, self.axis / root
 
     def surface_radius(self, latitudes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the metres from the centre of points at geodetic latitudes, in degrees."""
         return self.axis * np.sqrt(self._of_radii(latitudes)[1])
 
     def heights_of_radii(

@@ -14,15 +14,12 @@ from terrainwave.place.description import describe_quietly
 HEIGHT, DEPTH, RADIUS = "height", "depth", "radius"
 KINDS = (HEIGHT, DEPTH, RADIUS)
 PLURALS = {HEIGHT: "heights", DEPTH: "depths", RADIUS: "radii"}
-# An attribute of the CF conventions, and its values.
 POSITIVE, UP, DOWN = "positive", "up", "down"
-# Attributes of an array that a file keeps for its meaning.
 MARKS = (POSITIVE, "standard_name")
 # Names of the CF conventions, such as "depth_below_geoid". Other names with "depth" mean
 # thicknesses or depths below the ground, such as those of snow, soil, or the water table.
 _STANDARD_NAMES = re.compile(r"depth|depth_below_geoid|sea_?floor_depth(_below_\w+)?")
 _VARIABLES = re.compile(r"depths?|deptho|(sea_?floor|seabed|sea_bed)_depth(_below_\w+)?")
-# Plain titles; others do not count.
 _SEA = r"sea[ _-]?(floor|bed|level|surface)|seafloor|ocean floor|geoid|chart datum"
 _TITLES = re.compile(
     rf"((sea[ _-]?(floor|bed)|ocean floor) )?depths?( (below|under) .*({_SEA}).*)?"
@@ -64,7 +61,6 @@ class Names(NamedTuple):
 
 
 def check_kind(heights_are: str | None) -> None:
-    """Raise `InvalidArgumentError` unless it is None or one of `KINDS`."""
     if heights_are is not None and heights_are not in KINDS:
         raise InvalidArgumentError(
             f"found `heights_are` {shown(heights_are)}, expected {', '.join(KINDS)}"
@@ -100,7 +96,6 @@ def told_by(marks: Mapping[str, str], names: Names, crs_text: str | None) -> Tol
 
 
 def _depth_name(said: Mapping[str, str], names: Names, title: str) -> str | None:
-    """Return the name that means depths; a standard name takes precedence."""
     # With a modifier, such as standard_error, it is a quantity of another kind.
     standard_name = said.get("standard_name", "")
     if standard_name:
@@ -201,7 +196,6 @@ def _is_near(metres: float, radius: float) -> bool:
 
 
 def _radius_of_body(crs_text: str | None) -> float:
-    """Return the radius of the CRS's body in metres; 0 for small bodies, and without a CRS."""
     body = describe_quietly(crs_text)
     radius = 0.0 if body is None else body.radius or 0.0
     return radius if radius > _LEAST_BODY else 0.0

@@ -42,17 +42,14 @@ class LocalAxes(NamedTuple):
 
     @property
     def lengths(self) -> tuple[float, float]:
-        """Return the metres per unit of x and of y."""
         return math.hypot(*self.x), math.hypot(*self.y)
 
     @property
     def is_mirrored(self) -> bool:
-        """Return whether counter-clockwise in x and y is clockwise on the ground."""
         return self.x[0] * self.y[1] < self.x[1] * self.y[0]
 
     @property
     def names(self) -> tuple[str, str]:
-        """Return the directions of x and y, in words."""
         return _direction(*self.x), _direction(*self.y)
 
 
@@ -66,23 +63,9 @@ def _direction(east: float, north: float) -> str:
 class Place:
     """Position of coordinates on a body.
 
-    Parameters
-    ----------
-    kind : str
-        Of `description`: x and y are plain longitudes and latitudes (``geographic``), those of a
-        ``derived`` system, or lengths.
-    unit : float
-        Degrees or metres per unit of x and y.
-    ellipsoid : Ellipsoid
-        Of the CRS, or a sphere chosen by the user.
-    body : str
-        One of `bodies`' names.
-    directions : ((east, north), (east, north))
-        Of steps along x and along y.
-    system : System, optional
-        None without a CRS.
-    has_own_radius : bool
-        The user chose a radius: degrees stay unchanged.
+    `kind` is that of `description`; `unit` degrees or metres per unit of x and y; `ellipsoid` that
+    of the CRS, or a sphere chosen by the user (`has_own_radius`: degrees stay unchanged);
+    `directions` those of steps along x and along y; `system` None without a CRS.
     """
 
     kind: str
@@ -95,17 +78,14 @@ class Place:
 
     @property
     def in_degrees(self) -> bool:
-        """Return whether x and y are angles on the body."""
         return self.kind in (GEOGRAPHIC, DERIVED)
 
     @property
     def is_plain(self) -> bool:
-        """Return whether x and y are longitude and latitude, not those of a rotated pole."""
         return self.kind == GEOGRAPHIC
 
     @property
     def has_globe(self) -> bool:
-        """Return whether a conversion to longitude and latitude may exist."""
         return self.in_degrees or self.system is not None
 
     @property
@@ -131,7 +111,7 @@ class Place:
         return bool(self.unit == 1 and system.flat.equals(system.globe, ignore_axis_order=True))
 
     def to_lonlat(self, xy: Numbers) -> Numbers:
-        """Return longitudes and latitudes in degrees of points (n_points, 2); NaN if one has none.
+        """Return longitudes and latitudes of points in degrees, NaN if one has none.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
         """
@@ -142,7 +122,6 @@ class Place:
         return self._system().to_globe(xy)
 
     def from_lonlat(self, lonlat: Numbers) -> Numbers:
-        """Return x and y of longitudes and latitudes in degrees; the inverse of `to_lonlat`."""
         if self.is_lonlat:
             return lonlat / self.unit
         if self._is_turned_lonlat:
@@ -170,10 +149,7 @@ class Place:
                 stacklevel=3,
             )
 
-    # Around a point
-
     def latitude(self, x: float, y: float) -> float:
-        """Return the latitude in degrees; of a derived system its own."""
         return self.unit * (x * self.directions[0][1] + y * self.directions[1][1])
 
     def local_axes(self, x: float, y: float, *, most: float | None = None) -> LocalAxes:
@@ -202,7 +178,6 @@ class Place:
         )
 
     def surface_radius(self, x: float, y: float) -> float:
-        """Return the distance of the ellipsoid's surface at a point from its centre, in metres."""
         if self.ellipsoid.e2 == 0 or not self.has_globe:
             return self.ellipsoid.axis
         latitude = self.to_lonlat(np.array([[x, y]]))[:, 1]
@@ -239,18 +214,11 @@ def place_of(
     radius: float | None = None,
     has_frames: bool = False,
 ) -> Place:
-    """Return the position of coordinates by their CRS; without one, guess and warn.
+    """Return the position of coordinates by their CRS; without one, guess by `bounds` and warn.
 
-    Parameters
-    ----------
-    bounds : (left, bottom, right, top)
-        Range of the coordinates, used if there is no CRS.
-    is_placed : bool
-        False for an array without georeference, whose columns and rows are not degrees.
-    radius : float, optional
-        Radius in metres of the sphere that degrees lie on, instead of the CRS's ellipsoid.
-    has_frames : bool
-        True if the caller also has an argument `frame`, which the warning then names.
+    `is_placed` is false for an array without georeference. Degrees lie on a sphere of `radius`
+    metres, if given, instead of the CRS's ellipsoid. With `has_frames` the warning names `frame`,
+    too.
     """
     if radius is not None:
         radius = checked_number("radius", radius, above=0, expected="metres > 0")
@@ -303,7 +271,6 @@ def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, s
 
 
 def axis_attributes(crs_text: str | None) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes of x and y that the CF conventions require."""
     x_attrs, y_attrs = {"axis": "X"}, {"axis": "Y"}
     told = describe_quietly(crs_text)
     if told is not None and told.in_degrees:

@@ -45,7 +45,6 @@ class System:
 
     @cached_property
     def flat(self) -> Any:
-        """Return pyproj's CRS of only x and y."""
         known = self.known
         if known.is_compound:
             known = known.sub_crs_list[0]
@@ -60,10 +59,7 @@ class System:
 
     @cached_property
     def globe(self) -> Any:
-        """Return pyproj's CRS of longitude and latitude in degrees on the body.
-
-        WGS 84 for the Earth, else the datum that the CRS is based on.
-        """
+        """Return pyproj's CRS of degrees on the body: WGS 84 for the Earth, else its datum."""
         pyproj = need_pyproj()
         base = None if self.known is None else self.known.geodetic_crs
         if base is None or self.known.is_geocentric:
@@ -97,7 +93,6 @@ class System:
             ) from error
 
     def to_globe(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return longitudes and latitudes in degrees; NaN if a point has none."""
         return moved(self._to_globe, xy)
 
     def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -105,7 +100,6 @@ class System:
 
 
 def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points transformed by pyproj, shape (n_points, 2 or 3); NaN on failure."""
     if not len(points):
         return points
     # Libraries rely on numpy's default settings, which callers may have changed.
@@ -116,7 +110,6 @@ def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def system_of(crs_text: str | None) -> System | None:
-    """Return the system of a CRS; None, with a warning, if it cannot be parsed."""
     description = describe_crs(crs_text)
     if crs_text is None or description is None:
         return None
@@ -132,10 +125,7 @@ def _made(crs_text: str) -> System:
 
 
 def _known_to_pyproj(crs_text: str) -> Any:
-    """Return pyproj's CRS of a text that GDAL can parse; None if PROJ cannot.
-
-    The text first, as GDAL's WKT drops the codes of inner parts, which PROJ uses.
-    """
+    """Return pyproj's CRS of a text, which has more codes than GDAL's WKT; None if unknown."""
     pyproj = need_pyproj()
     code = _CODE.fullmatch(crs_text)
     with contextlib.suppress(pyproj.exceptions.CRSError):
@@ -154,7 +144,6 @@ def _known_to_pyproj(crs_text: str) -> Any:
 
 
 def _ellipsoid_of(known: Any) -> Ellipsoid:
-    """Return the ellipsoid of pyproj's CRS; WGS 84 if it has none."""
     ellipsoid = None if known is None else known.ellipsoid
     if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
         return EARTH

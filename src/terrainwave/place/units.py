@@ -64,10 +64,7 @@ class HeightUnit(NamedTuple):
 
     @property
     def metres(self) -> float:
-        """Return the metres per unit, negative for depths: up is positive.
-
-        An unknown name gives a warning and counts as metres.
-        """
+        """Return the metres per unit, negative for depths; a warning for an unknown name."""
         sign = -1.0 if self.is_depth else 1.0
         length = self.length
         return sign * (metres_per_unit(self.name) if length is None else length)
@@ -82,14 +79,12 @@ class HeightUnit(NamedTuple):
 
     @property
     def is_depth(self) -> bool:
-        """Return whether the numbers are depths: metadata and CRS together turn them once."""
         if self.kind is not None:
             return self.kind == DEPTH
         return self.vertical is not None and self.vertical.is_down
 
     @property
     def word(self) -> str:
-        """Return the word for a number: ``height``, ``depth`` or ``radius``."""
         return DEPTH if self.is_depth else self.kind or HEIGHT
 
     @property
@@ -97,7 +92,6 @@ class HeightUnit(NamedTuple):
         return self.kind == RADIUS
 
     def note_kind(self) -> None:
-        """Warn that numbers are depths, which are turned to go down, or radii."""
         if self.is_radius:
             words = "the numbers are radii; heights are what they have beyond the body's own radius"
         elif not self.is_depth:
@@ -112,7 +106,6 @@ class HeightUnit(NamedTuple):
 
     @property
     def of_crs(self) -> str | None:
-        """Return the CRS's unit if the band names another one."""
         if self.source != BAND or self.vertical is None or self._is_the_same_name:
             return None
         return None if _is_same(self.length, self.vertical.metres) else self.vertical.unit
@@ -136,7 +129,6 @@ def height_unit(
 
 
 def kind_name(heights_are: str | None, crs_text: str | None) -> str:
-    """Return the word for the numbers: ``heights``, ``depths`` or ``radii``."""
     return PLURALS[height_unit(None, crs_text, heights_are).word]
 
 
@@ -163,10 +155,7 @@ def kind_problem(
 def in_metres(
     ends: tuple[float, float], scale: float, offset: float, units: str | None, crs_text: str | None
 ) -> tuple[float, float]:
-    """Return the lowest and the highest stored number in metres, with their original sign.
-
-    NaN if the band's unit is not a length.
-    """
+    """Return the lowest and the highest stored number in metres; NaN if the unit is no length."""
     unit = math.nan
     if is_length(units):
         unit = abs(height_unit(units, crs_text).metres)
@@ -175,15 +164,7 @@ def in_metres(
 
 
 class Meeting(NamedTuple):
-    """Consequence of combining heights of two sources; both fields are empty if it has none.
-
-    Parameters
-    ----------
-    problem : str
-        Why they cannot be combined, and what to do: raise.
-    note : str
-        Assumption for the user.
-    """
+    """Why heights of two sources cannot be combined, and what to do; or an assumption to note."""
 
     problem: str = ""
     note: str = ""
@@ -240,7 +221,6 @@ def metres_per_unit(units: str | None) -> float:
 
 
 def _length(name: str) -> float | None:
-    """Return the metres of a unit of length; None for all others."""
     name = _plain(name)
     for words in (name, _REFERENCE.sub("", name)):
         singular = words.removesuffix("s") if len(words) > _SHORT else words
@@ -266,5 +246,4 @@ def _plain(units: str) -> str:
 
 
 def unit_text(units: str | None) -> str:
-    """Return a vertical unit as written in labels."""
     return units.strip() if units and units.strip() else "unit unknown"

@@ -34,12 +34,10 @@ _GRIDS = re.compile(r"grids=(\S+)")
 _NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
 # Description of heights computed from distances to the centre.
 RADII = "radii less those of the ellipsoid"
-# Missing files that a message names.
 _MOST_NAMED = 6
 
 
 def note_as_is(crs_text: str | None) -> None:
-    """Warn if heights above a geoid, or depths, are taken for heights above the ellipsoid."""
     told = vertical_of(crs_text)
     if told is None or told.is_ellipsoidal:
         return
@@ -85,7 +83,6 @@ class EllipsoidalHeights:
 
     @classmethod
     def of_radii(cls, place: Place) -> Self:
-        """Return the conversion of heights computed from radii, which changes nothing."""
         return cls(RADII, (), None, None, place, 1.0)
 
     def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
@@ -130,7 +127,6 @@ class EllipsoidalHeights:
 
     @property
     def words(self) -> str:
-        """Return the conversion as the end of a sentence."""
         if not self.description:
             return "heights are above the ellipsoid already"
         if self.description == RADII:
@@ -140,7 +136,6 @@ class EllipsoidalHeights:
 
 
 def radii_on_own_datum(place: Place) -> EllipsoidalHeights:
-    """Return the conversion of radii to heights above the ellipsoid of the raster's own CRS."""
     if place.system is None:
         raise InvalidHeightsError(
             "the raster has no coordinate reference system, so that nothing tells the radius of its"
@@ -203,10 +198,7 @@ def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
 
 
 def _best_operation(system: System, goal: Any, area: Any, told: Vertical) -> Any:
-    """Return PROJ's first operation, if all of its grids are installed.
-
-    Ballpark operations, which return the height unchanged, do not count.
-    """
+    """Return PROJ's first operation that changes heights, if all of its grids are installed."""
     pyproj = need_pyproj()
     _look_where_proj_data_says()
     with warnings.catch_warnings():

@@ -13,10 +13,9 @@ from terrainwave.place.meaning import MARKS, Names, Told, told_by
 from terrainwave.place.units import is_length
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.labelled import layer_of, variable_of
-from terrainwave.raster_io.labelled.packing import packing_of
-from terrainwave.raster_io.labelled.voids import voids_of
+from terrainwave.raster_io.labelled.values import packing_of, voids_of
 from terrainwave.raster_io.raster_info import fit_nodata, stored_nodata, undeclared_by
-from terrainwave.raster_io.vrt.warped import remark_on_named
+from terrainwave.raster_io.vrt import remark_on_named
 
 
 class ArrayBackend(RasterBackend):
@@ -113,7 +112,6 @@ class LabelledBackend(ArrayBackend):
         self.came_from = _came_from(variable)
 
     def _declare(self, values: list[int | float]) -> None:
-        """Use the first finite value as nodata; the others mark voids as well."""
         fitting = []
         for value in values:
             _, problem = fit_nodata(value, self.dtype)

@@ -9,18 +9,16 @@ from numpy.typing import NDArray
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.meaning import Told
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even
-from terrainwave.raster_io.raster_info import stored_nodata
+from terrainwave.raster_io.raster_info import EarlierLoss, stored_nodata
 
 
 class RasterBackend:
     """One band of a raster: of a dataset of GDAL, a .twz file, an array, or a mosaic of these.
 
     `undeclared` are values that the raster declares void and that `nodata` turns into heights;
-    `is_lost` is true if its position is unknown, `has_mask` if `read` finds voids without a nodata
-    value. `told` is its statement on the meaning of its numbers; None: they fit any file.
-    `came_from` is the .twz file that an array names as its source.
+    `has_mask` is true if `read` finds voids without a nodata value. Without `told` it fits any
+    file.
     """
 
     name: str
@@ -46,7 +44,6 @@ class RasterBackend:
         return (f"{self.name}: {remark}" for remark in self.remarks())
 
     def remarks(self) -> Iterator[str]:
-        """Yield the notes without the raster's name."""
         return iter(())
 
     def asides(self) -> Iterator[str]:
@@ -57,7 +54,6 @@ class RasterBackend:
         return (f"{self.name}: {aside}" for aside in self.asides())
 
     def tags(self) -> dict[str, Any]:
-        """Return the fields of RasterInfo that do not concern the heights."""
         raise NotImplementedError
 
     def read(
@@ -71,7 +67,6 @@ class RasterBackend:
         return None
 
     def declared_voids(self, window: Region, heights: NDArray[Any]) -> NDArray[np.bool_]:  # noqa: ARG002
-        """Return which heights of a window have one of the values of `undeclared`."""
         return np.isin(heights, [stored_nodata(value, self.dtype) for value in self.undeclared])
 
     def parts(
@@ -82,7 +77,6 @@ class RasterBackend:
         return iter(())
 
     def again(self) -> "RasterBackend | None":
-        """Return the raster opened again for another thread; None if the file may have changed."""
         return None
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ import math
 import os
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import cached_property
 from pathlib import Path
@@ -22,11 +22,7 @@ from rasterio.windows import Window
 
 from terrainwave.arguments import NodataChoice, check_band
 from terrainwave.container.sources.addresses import display_name, without_secrets
-from terrainwave.errors import (
-    InvalidHeightsError,
-    StorageError,
-    TerrainwaveError,
-)
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.place.crs import format_crs, is_exact
@@ -35,10 +31,8 @@ from terrainwave.place.units import is_length
 from terrainwave.raster_io.backend import RasterBackend
 from terrainwave.raster_io.even import Even, SparseBlocks, StoredValues, stored_values
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
-from terrainwave.raster_io.raster_info import undeclared_by
-from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
-from terrainwave.raster_io.vrt.copied import Unreported, unreported
-from terrainwave.raster_io.vrt.warped import is_warped, remark_on_windows
+from terrainwave.raster_io.raster_info import PLAIN_COLORS, is_statistic, select_tags, undeclared_by
+from terrainwave.raster_io.vrt import Unreported, is_warped, remark_on_windows, unreported
 
 # Tags that GDAL derives rather than stores, and positions, which have a note of their own.
 _DERIVED_TAGS = (
@@ -47,7 +41,6 @@ _DERIVED_TAGS = (
 )  # fmt: skip
 # netCDF's tags of a band with values that mark voids; GDAL uses one of them as nodata.
 _VOID_TAGS = ("_FillValue", "missing_value")
-# Number of names that a note lists.
 _N_NAMES = 4
 
 # Held while warning filters, which belong to the process, are changed.
@@ -96,10 +89,7 @@ def opened(path: str) -> Any:
 
 
 def refuse_raster(target: str | os.PathLike[str]) -> None:
-    """Raise `StorageError` if a .twz would replace a raster, whatever its name.
-
-    The raster may be the only copy of years of measurements.
-    """
+    """Raise `StorageError` if a .twz would replace a raster: perhaps the only copy."""
     if not os.path.exists(target):
         return
     try:
@@ -113,7 +103,6 @@ def refuse_raster(target: str | os.PathLike[str]) -> None:
 
 
 def _reason(error: BaseException) -> str:
-    """Return GDAL's reason for a failed read, with advice for a VRT of many sources."""
     reason = one_line(error)
     if os.strerror(errno.EMFILE) in reason:
         reason += (
@@ -124,7 +113,6 @@ def _reason(error: BaseException) -> str:
 
 
 def is_twz(path: str | os.PathLike[str]) -> bool:
-    """Return whether a local file is a terrainwave file, by its first bytes."""
     try:
         with Path(path).open("rb") as file:
             return b"TWZ" in file.read(8).upper()
@@ -132,19 +120,7 @@ def is_twz(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str:
-    """Return "band 2 (slope), band 3"; of many bands the first and the last."""
-    if len(numbers) > 2 * _N_NAMES:
-        return f"{len(numbers)} bands, from {numbers[0]} to {numbers[-1]}"
-    names = [descriptions[number - 1] for number in numbers]
-    return ", ".join(
-        f"band {number} ({name})" if name else f"band {number}"
-        for number, name in zip(numbers, names, strict=True)
-    )
-
-
 def _number(text: str) -> float | None:
-    """Return a tag as a number; None if it is not one, or is NaN, which is always void."""
     try:
         value = float(text)
     except ValueError:
@@ -168,7 +144,6 @@ def is_placed(dataset: Any) -> bool:
 
 
 def _other_places(dataset: Any) -> list[str]:
-    """Return a dataset's positioning other than a transform: GCPs, RPCs, geolocation."""
     found = {
         "GCPs": dataset.gcps[0],
         "RPCs": getattr(dataset, "rpcs", None),
@@ -178,7 +153,6 @@ def _other_places(dataset: Any) -> list[str]:
 
 
 def _stamp(dataset: Any) -> tuple[int, ...] | None:
-    """Return the identity of a local GeoTIFF's contents; None for other datasets."""
     try:
         found = os.stat(dataset.name)
     except (OSError, ValueError):
@@ -189,7 +163,6 @@ def _stamp(dataset: Any) -> tuple[int, ...] | None:
 
 
 def told_of(dataset: Any, band: int) -> Told:
-    """Return the meaning of a band's numbers by its tags and names."""
     marks = dataset.tags(band)
     if dataset.count == 1:
         marks = {**dataset.tags(), **marks}
@@ -297,16 +270,17 @@ class DatasetBackend(RasterBackend):
             yield f"dropped, as a .twz file does not hold them: {what}"
 
     def _other_bands(self) -> str:
-        """Return the names of the bands that are neither used nor a mask."""
         dataset, used = self._dataset, (self._band, *self._alphas)
         others = [number for number in range(1, dataset.count + 1) if number not in used]
-        return _band_names(others, dataset.descriptions)
+        if len(others) > 2 * _N_NAMES:
+            return f"{len(others)} bands, from {others[0]} to {others[-1]}"
+        names = ((number, dataset.descriptions[number - 1]) for number in others)
+        return ", ".join(
+            f"band {number}" + (f" ({name})" if name else "") for number, name in names
+        )
 
     def asides(self) -> Iterator[str]:
-        """Yield notes that need no warning, one sentence each.
-
-        These concern other bands if one was chosen, and data that can be derived from the heights.
-        """
+        """Yield notes that need no warning: on other bands, and on what heights give again."""
         others = self._other_bands()
         if others and self._band != 1:
             yield f"using band {self._band}; left out: {others}"
@@ -402,10 +376,7 @@ class DatasetBackend(RasterBackend):
             ) from error
 
     def again(self) -> "DatasetBackend | None":
-        """Return the band of the same file opened again; None if the file may have changed.
-
-        Only for unchanged local GeoTIFFs without masks, which may lie in other files.
-        """
+        """Return the band opened again, of an unchanged local GeoTIFF without a mask; else None."""
         if self._stamp is None or self.has_mask:
             return None
         try:
@@ -425,8 +396,7 @@ class DatasetBackend(RasterBackend):
     def even(self, region: Region) -> Even | None:
         """Return the content of a region by the file's index; None if only reading can tell.
 
-        Not for voids by a mask, and not for datasets that the caller opened, perhaps in part or for
-        writing.
+        Not for voids by a mask, and not for datasets that the caller opened, perhaps for writing.
         """
         if self._stored is None:
             return None
@@ -453,3 +423,66 @@ class DatasetBackend(RasterBackend):
     def close(self) -> None:
         if self._owned:
             self._dataset.close()
+
+
+def files_of(path: str) -> list[str]:
+    """Return the files that GDAL reads a raster from, those of a VRT's sources too; sorted."""
+
+    def named(name: str) -> list[str]:
+        try:
+            return _listed(name)
+        except TerrainwaveError:  # an accompanying file, such as metadata
+            return []
+
+    return sorted(_all_below(_listed(path), named))
+
+
+def stamps_of(src: Any) -> list[list[str | int]] | None:
+    """Return names, sizes and times of the files that rasters are read from, also by VRTs.
+
+    None if a source is not a local file, such as an array or a URL.
+    """
+    names: set[str] = set()
+    for source in src if isinstance(src, list | tuple) else [src]:
+        found = _files_below(source)
+        if not found:
+            return None
+        names |= found
+    stamps: list[list[str | int]] = []
+    for name in sorted(names):
+        try:
+            seen = os.stat(name)
+        except (OSError, ValueError):
+            return None
+        # Every change of a file sets this time, even one that restores the time of modification.
+        stamps.append([os.path.abspath(name), seen.st_size, seen.st_mtime_ns, seen.st_ctime_ns])
+    return stamps
+
+
+def _files_below(source: Any) -> set[str]:
+    if hasattr(source, "files") and hasattr(source, "block_shapes"):
+        waiting = [os.fspath(name) for name in source.files]
+    elif not isinstance(source, str | os.PathLike):
+        return set()
+    elif is_twz(source):
+        return {os.fspath(source)}
+    else:
+        waiting = _listed(os.fspath(source))
+    # Other files name no further ones, and there may be many thousands.
+    return _all_below(waiting, lambda name: _listed(name) if name.lower().endswith(".vrt") else [])
+
+
+def _all_below(names: list[str], named: Callable[[str], list[str]]) -> set[str]:
+    found: set[str] = set()
+    waiting = [*names]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += named(name)
+    return found
+
+
+def _listed(path: str) -> list[str]:
+    with open_dataset(path) as dataset:
+        return [os.fspath(name) for name in dataset.files]

@@ -5,6 +5,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from typing import Any, NamedTuple, Self
 from urllib.parse import urlsplit
 from xml.sax.saxutils import escape
@@ -76,12 +77,8 @@ _ROWS_AT_ONCE = 256
 class Drape(NamedTuple):
     """Picture over a part of a grid.
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 4)
-        Red, green, blue, alpha; the first row lies along the grid's first row.
-    col, row, n_cols, n_rows : float
-        Covered area in pixels of the full grid, corners counted from 0.
+    `pixels` (uint8, shape (height, width, 4)): red, green, blue, alpha; the first row lies along
+    the grid's. The area is in pixels of the full grid, corners counted from 0.
     """
 
     pixels: NDArray[np.uint8]
@@ -95,30 +92,14 @@ class Photo:
     """An open image, read in windows warped to a grid. Thread-safe; a context manager.
 
     A window reads only what it needs: parts of the file or of a sufficiently fine overview; tiles
-    of the matching zoom.
+    of the matching zoom. `path` is a file, or a URL: of a file that is read by ranges, such as a
+    COG, or of tiles of 256 x 256 pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands
+    are grey or red, green, blue, with or without alpha, or a palette; 8 bits. `plain_on` is the
+    area, in the grid's CRS, that a picture without georeference covers. Without it such a picture
+    is refused.
 
-    Parameters
-    ----------
-    path : str
-        A file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x 256
-        pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands are grey or red, green,
-        blue, with or without alpha, or a palette; 8 bits.
-    crs : str, optional
-        CRS of the grid, as `parse_crs` reads it.
-    affine : tuple of float
-        a, b, c, d, e, f of the grid: x = a col + b row + c.
-    shape : tuple of int
-        Rows and columns of the grid.
-    plain_on : Footprint, optional
-        Area, in the grid's CRS, that a picture without georeference covers. Without it such a
-        picture is refused.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is not such an image, has no georeference, or does not overlap the grid.
-    StorageError
-        If it cannot be read.
+    Raises `InvalidHeightsError` if it is not such an image, has no georeference, or does not
+    overlap the grid. Raises `StorageError` if it cannot be read.
     """
 
     def __init__(
@@ -140,13 +121,17 @@ class Photo:
             raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
         with self._reading():
             self._file = _open(path)
-            self._plain_on = plain_on if _is_plain(self._file) else None
+            is_placed = not self._file.transform.is_identity or self._file.crs is not None
+            is_placed |= bool(self._file.gcps[0]) or self._file.rpcs is not None
+            self._plain_on = None if is_placed else plain_on
             _check(path, self._file, grid_crs, is_plain=self._plain_on is not None)
             # If neither states its CRS, any projected system works for both.
             self._grid_crs = grid_crs or _ANY_CRS
             self._crs = self._grid_crs if self._plain_on else self._file.crs or _ANY_CRS
             placed = self._placed(self._file)
-            bounds = _bounds(placed, self._file.width, self._file.height)
+            ends = product((0.0, self._file.height), (0.0, self._file.width))
+            xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *end) for end in ends), strict=True)
+            bounds = min(xs), min(ys), max(xs), max(ys)
             self.place = _overlap(path, bounds, self._crs, self._grid_crs, affine, shape)
             col, row, n_cols, n_rows = self.place
             middle = col + n_cols / 2, row + n_rows / 2
@@ -154,7 +139,6 @@ class Photo:
             self.finer = math.sqrt(math.prod(self._finer))
 
     def _placed(self, file: Any) -> Any:
-        """Return the transform of the photo, or of an overview of it."""
         if self._plain_on is None:
             return file.transform
         (a, b, c, d, e, f), (n_rows, n_cols) = self._plain_on
@@ -176,29 +160,22 @@ class Photo:
 
     @property
     def credit(self) -> str | None:
-        """Return the server of the tiles; None for a file."""
         return urlsplit(self._path).hostname if self.has_tiles else None
 
     def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
-        """Return width and height, in texels, of the whole photo within these limits."""
         _, _, n_cols, n_rows = self.place
         max_side = min(max_side, _MOST_TILED) if self.has_tiles else max_side
         return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
 
     def whole(self, max_side: int, max_bytes: int) -> Drape:
-        """Return all of the photo that lies on the grid, at its own resolution if limits allow.
-
-        `max_side` and `max_bytes` limit the picture, with four bytes per texel. From tiles it has
-        2048 texels per side at most.
-        """
+        """Return all of the photo that lies on the grid, at its own resolution if limits allow."""
         return self.part(self.place, self.size(max_side, max_bytes))
 
     def over_grid(self, max_side: int) -> tuple[Drape, tuple[int, int]]:
-        """Return a picture of the whole grid, transparent beyond the photo.
+        """Return a picture of the whole grid, transparent beyond the photo, and its own size.
 
         Its sides are powers of two, as engines need for mipmaps: the next ones above the photo's
-        own resolution along rows and columns, up to `max_side`, itself a power of two. The second
-        result is width and height at the photo's own resolution.
+        own resolution, up to `max_side`, itself a power of two.
         """
         n_rows, n_cols = self._shape
         along, down = self._finer
@@ -210,15 +187,7 @@ class Photo:
         return self.part((0.0, 0.0, n_cols, n_rows), (width, height)), own
 
     def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
-        """Return a part of the grid.
-
-        Parameters
-        ----------
-        place : tuple of float
-            Column, row, columns and rows, in pixels of the full grid.
-        size : tuple of int
-            Width and height in texels.
-        """
+        """Return a part of the grid: column, row, columns and rows, in `size` texels."""
         col, row, n_cols, n_rows = place
         width, height = size
         a, b, _, d, e, _ = self._affine
@@ -279,27 +248,12 @@ def texture_of(
     plain_on: Footprint | None,
     color: tuple[int, int, int],
 ) -> tuple[bytes, str]:
-    """Return a picture of an area for a mesh's file; the upper left corner is first.
+    """Return a picture of an area for a mesh's file, upper left corner first, and its media type.
 
-    Parameters
-    ----------
-    path : str
-        As for `Photo`. A warning names a photo with more than 8192 pixels per side over the area.
-    crs : str, optional
-        CRS of the area.
-    area : tuple of float
-        Left, bottom, right, top.
-    plain_on : Footprint, optional
-        Area that a picture without georeference covers; by default `area`.
-    color : tuple of int
-        Red, green, blue where the photo is transparent, void or missing.
-
-    Returns
-    -------
-    data : bytes
-        A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG.
-    kind : str
-        ``image/png`` or ``image/jpeg``.
+    A PNG if it has at most 257 colours and is not larger than a JPEG, else a JPEG. `color` is where
+    the photo is transparent, void or missing. A warning names a photo with more than 8192 pixels
+    per side over the area: left, bottom, right, top. A picture without georeference covers
+    `plain_on`.
     """
     left, bottom, right, top = area
     affine = ((right - left) / _CELLS, 0.0, left, 0.0, (bottom - top) / _CELLS, top)
@@ -330,7 +284,6 @@ def texture_of(
 
 
 def _opaque(pixels: NDArray[np.uint8], color: tuple[int, int, int]) -> NDArray[np.uint8]:
-    """Return red, green and blue of a picture on a background of one colour."""
     ground = np.array(color, dtype=np.uint16)
     made = np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
     for row in range(0, len(pixels), _ROWS_AT_ONCE):
@@ -353,7 +306,6 @@ def _has_few_colors(pixels: NDArray[np.uint8]) -> bool:
 
 
 def _as_file(pixels: NDArray[np.uint8], **profile: Any) -> bytes:
-    """Return a picture as a file written by GDAL."""
     height, width = pixels.shape[:2]
     with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -372,18 +324,7 @@ def _open(path: str, **options: Any) -> Any:
         return rasterio.open(_TILES.format(url=url, edge=math.pi * 6378137.0), **options)
 
 
-def _is_plain(photo: Any) -> bool:
-    """Return whether a picture has no georeference of any kind."""
-    return (
-        photo.transform.is_identity
-        and photo.crs is None
-        and not photo.gcps[0]
-        and photo.rpcs is None
-    )
-
-
 def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
-    """Raise if a photo cannot be draped."""
     n_colors = photo.count - (ColorInterp.alpha in photo.colorinterp)
     if n_colors not in (1, 3, 4) or photo.dtypes[0] != "uint8":
         raise InvalidHeightsError(
@@ -405,13 +346,6 @@ def _check(path: str, photo: Any, grid_crs: Any, *, is_plain: bool) -> None:
         )
 
 
-def _bounds(placed: Any, width: int, height: int) -> tuple[float, float, float, float]:
-    """Return left, bottom, right, top of a raster, which may be rotated."""
-    corners = [(row, col) for row in (0.0, height) for col in (0.0, width)]
-    xs, ys = zip(*(pixels_to_places(tuple(placed)[:6], *one) for one in corners), strict=True)
-    return min(xs), min(ys), max(xs), max(ys)
-
-
 def _overlap(
     path: str,
     bounds: tuple[float, ...],
@@ -420,7 +354,6 @@ def _overlap(
     grid: Transform,
     shape: tuple[int, int],
 ) -> tuple[float, float, float, float]:
-    """Return column, row, columns and rows of the part of the grid that the photo covers."""
     left, bottom, right, top = transform_bounds(photo_crs, grid_crs, *bounds, densify_pts=_DENSITY)
     corners = [places_to_pixels(grid, x, y) for x in (left, right) for y in (bottom, top)]
     rows, cols = zip(*corners, strict=True)
@@ -438,7 +371,6 @@ def _overlap(
 def _texels_per_pixel(
     placed: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
 ) -> tuple[float, float]:
-    """Return the photo's pixels per grid pixel along a row and along a column, near a point."""
     near = ((row, col), (row, col + 1), (row + 1, col))
     places = [pixels_to_places(grid, *pixel) for pixel in near]
     xs, ys = transform(grid_crs, photo_crs, *zip(*places, strict=True))
@@ -450,7 +382,6 @@ def _texels_per_pixel(
 
 
 def _size(width: float, height: float, max_side: int, max_bytes: int) -> tuple[int, int]:
-    """Return whole numbers of texels within the limits, in the same proportion."""
     shrink = min(
         1.0,
         max_side / max(width, height),

@@ -40,7 +40,6 @@ class Even(NamedTuple):
     is_valid: bool
 
     def heights(self, shape: tuple[int, int], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Return them as an array."""
         return np.full(shape, self.value, dtype=dtype)
 
 
@@ -51,10 +50,7 @@ ReadWindow = Callable[[int, int, int, int], tuple[NDArray[Any], NDArray[np.bool_
 
 
 def even_parts(region: Region, side: int, even_of: EvenOf) -> Iterator[tuple[Region, Even | None]]:
-    """Yield a region in parts that are even, and windows of `side` samples at most of the rest.
-
-    Windows begin at the region's corner or at multiples of `side` from it.
-    """
+    """Yield a region in parts that are even, and windows of `side` samples at most of the rest."""
     if not (region.n_rows and region.n_cols):
         return
     even = even_of(region)
@@ -88,7 +84,6 @@ class Layers:
         self._near = cache(self._near_band)
 
     def touching(self, region: Region) -> list[int]:
-        """Return the numbers of the places that a region touches, in order."""
         row, col, n_rows, n_cols = region
         is_low = n_rows <= self._band
         numbers, top, left, bottom, right = self._near(row // self._band) if is_low else self._edges
@@ -102,10 +97,7 @@ class Layers:
 
 
 def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable[[], Any]) -> Any:
-    """Return the value of all samples of a region; `gap` where nothing lies, None if several do.
-
-    `layers` are values, None where only reading tells, and their places; the last one counts.
-    """
+    """Return the common value of a region's layers, of which the last counts; None in doubt."""
     value, parts = None, list[Region]()
     for above, place in layers:
         part = place.intersect(region)
@@ -127,7 +119,6 @@ def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable
 
 
 def samples_in(regions: Sequence[Region]) -> int:
-    """Return how many samples lie in at least one of the regions."""
     row_ends = sorted({end for one in regions for end in (one.row, one.row + one.n_rows)})
     col_ends = sorted({end for one in regions for end in (one.col, one.col + one.n_cols)})
     is_covered = np.zeros((len(row_ends) - 1, len(col_ends) - 1), dtype=np.bool_)
@@ -144,7 +135,6 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def are_bits(values: NDArray[Any], value: Any) -> NDArray[np.bool_]:
-    """Say which values are a value of their type bit for bit, as `is_same` does."""
     bits = f"u{values.dtype.itemsize}"
     return values.view(bits) == np.asarray(value, dtype=values.dtype).view(bits)
 
@@ -221,14 +211,7 @@ class _Source(NamedTuple):
 
 
 class VrtSources:
-    """The sources of a VRT's band.
-
-    Parameters
-    ----------
-    value_of : callable
-        Returns the stored value of all samples of a region of a band of a file, as the type of the
-        VRT's band; None where only reading tells.
-    """
+    """The sources of a VRT's band; `value_of` returns the one value of a part of a file."""
 
     def __init__(
         self,
@@ -245,7 +228,13 @@ class VrtSources:
 
     def value(self, region: Region) -> Any:
         """Return the value of all samples of a region, as its sources lie over each other."""
-        return composed(region, self._values(region), lambda: self._value_of_gap(region))
+
+        def gap() -> Any:
+            if self._fill is None:
+                self._fill = self._read_sample(region.row, region.col)
+            return self._fill
+
+        return composed(region, self._values(region), gap)
 
     def _values(self, region: Region) -> Iterator[tuple[Any, Region]]:
         for number in self._layers.touching(region):
@@ -259,11 +248,6 @@ class VrtSources:
                 if math.isclose(found, nodata, rel_tol=1e-5, abs_tol=1e-5):
                     value = None
             yield value, place
-
-    def _value_of_gap(self, region: Region) -> Any:
-        if self._fill is None:
-            self._fill = self._read_sample(region.row, region.col)
-        return self._fill
 
 
 def _vrt_sources(dataset: Any, band: int) -> list[_Source] | None:
@@ -309,10 +293,7 @@ def stored_values(
     open_member: Callable[[str, int], Any],
     nested: int = 0,
 ) -> StoredValues | None:
-    """Return the finder of even windows of a band of a dataset opened for reading.
-
-    `open_member` opens a band of another file as a context: a raster with `dtype`, size and `even`.
-    """
+    """Return the finder of even windows of a band of a dataset; `open_member` opens others."""
     if dataset.driver == "GTiff":
         return SparseBlocks(dataset, band, read_sample)
     if dataset.driver != "VRT" or nested >= _MOST_NESTED:

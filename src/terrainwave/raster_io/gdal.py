@@ -21,7 +21,6 @@ GDAL_ERRORS = (RasterioError, OSError, CPLE_BaseError, SystemError)
 
 
 def bounded_env(**options: Any) -> Any:
-    """Return the GDAL environment for all work of this package."""
     return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES, **options)
 
 

@@ -21,11 +21,15 @@ from terrainwave.place.meaning import RADIUS, Told
 from terrainwave.place.position import longitude_turn
 from terrainwave.place.units import HeightUnit, Meeting, height_unit, kind_name, meeting
 from terrainwave.raster_io.backend import RasterBackend
-from terrainwave.raster_io.earlier_loss import EarlierLoss
 from terrainwave.raster_io.even import Even, Layers, composed, samples_in
 from terrainwave.raster_io.gdal import scan_windows
-from terrainwave.raster_io.raster_info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
-from terrainwave.raster_io.tags import common_tags
+from terrainwave.raster_io.raster_info import (
+    SUPPORTED_DTYPES,
+    EarlierLoss,
+    common_tags,
+    fit_nodata,
+    stored_nodata,
+)
 
 # Largest difference of grids in pixels: tiles give their corners with about ten digits.
 _TOLERANCE = 0.01
@@ -38,7 +42,6 @@ _ALIKE = {
     "description": "the band's description",
     "color_interpretation": "the band's colour interpretation",
 }
-# Attributes of a raster that are taken as they are.
 _ASKED = (
     "name", "transform", "dtype", "undeclared", "has_mask", "block_shape", "crs", "is_lost",
     "earlier", "told",
@@ -54,10 +57,7 @@ _WIDE = 1024
 
 
 class Orientation(NamedTuple):
-    """Orientation of a raster's rows and columns relative to another grid.
-
-    First rows and columns are exchanged, then the order of rows and of columns is reversed.
-    """
+    """Rows and columns exchanged, then their order reversed, relative to another grid."""
 
     swap: bool = False
     flip_rows: bool = False
@@ -84,7 +84,6 @@ class Orientation(NamedTuple):
         return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
 
     def before(self, part: Region, shape: tuple[int, int]) -> Region:
-        """Return the window of the raster itself for a window of the turned raster, of `shape`."""
         row = shape[0] - part.row - part.n_rows if self.flip_rows else part.row
         col = shape[1] - part.col - part.n_cols if self.flip_cols else part.col
         if self.swap:
@@ -121,7 +120,6 @@ class _Description(NamedTuple):
         return height_unit(self.tags["units"], self.tags["crs"])
 
     def on_grid_of(self, first: Self) -> Self:
-        """Return the raster in the order of rows and columns of `first`, if possible."""
         pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
         for turn in ORIENTATIONS:
             transform = turn.of_transform(self.transform, self.shape)
@@ -148,32 +146,10 @@ class MosaicBackend(RasterBackend):
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
 
     Rows and columns are ordered as in the first raster; rasters in another order (south first,
-    turned by right angles) are turned while they are read.
-
-    Parameters
-    ----------
-    sources : sequence
-        Arguments of `open_member`.
-    open_member : callable
-        Opens one of them.
-    nodata : NodataChoice
-        Adds to the nodata value of each, or replaces it.
-    heights_are : str, optional
-        Meaning of all numbers; overrides the metadata.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If several have no georeference, or they differ in CRS, resolution, type, scale, offset or
-        units, or by their metadata in depths and heights, or their pixels don't lie on one grid;
-        the message names the raster and says what to do.
-    StorageError
-        If one cannot be opened.
-
-    Notes
-    -----
-    The mosaic's nodata value is the first one declared. A valid height of another raster with that
-    value is refused when it is read. Without any nodata value, whole numbers get a mask.
+    turned by right angles) are turned while they are read. The nodata value is the first one
+    declared. A valid height of another raster with that value is refused when it is read. Without
+    any nodata value, whole numbers get a mask. `open_member` opens one of `sources`. Raises
+    `InvalidHeightsError` if the rasters cannot be put together; the message says what to do.
     """
 
     def __init__(
@@ -208,8 +184,10 @@ class MosaicBackend(RasterBackend):
         named = next((one for one in rasters if one.unit.name is not None), first)
         for other in rasters[1:]:
             _check_alike(first, other, named)
-            if heights_are is None:
-                _check_kind(first, other)
+            crs_text = format_crs(first.crs)
+            are_depths = {kind_name(one.told.kind, crs_text) == "depths" for one in (first, other)}
+            if heights_are is None and len(are_depths) > 1:
+                _refuse_kinds([(one.name, one.told) for one in (first, other)], crs_text)
         self.told = first.told
         self.is_told = any(one.told.kind for one in rasters)
         self.name = f"{first.name} and {len(rasters) - 1} more"
@@ -267,7 +245,6 @@ class MosaicBackend(RasterBackend):
         )
 
     def _backend(self, source: Any) -> RasterBackend:
-        """Return an open raster; the least recently read file is closed if there are too many."""
         if not isinstance(source, str | os.PathLike):
             return self._open_member(source)
         return self._open.get_or_make(os.fspath(source), lambda: self._open_member(source))
@@ -292,7 +269,6 @@ class MosaicBackend(RasterBackend):
 
     @property
     def _is_across(self) -> bool:
-        """Return True if the rasters lie next to each other a whole turn of longitude apart."""
         turn = longitude_turn(self._tags["crs"])
         a, b, _, d, e, _ = self.transform
         if turn is None or b or d:
@@ -312,10 +288,7 @@ class MosaicBackend(RasterBackend):
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return heights and validity; voids hold the nodata value, NaN or 0.
-
-        Raises `InvalidHeightsError` if a valid height equals the nodata value.
-        """
+        """Return heights and validity; raise if a valid height equals the mosaic's nodata value."""
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
         valid = np.zeros(window.shape, dtype=np.bool_)
@@ -415,7 +388,6 @@ class MosaicBackend(RasterBackend):
 def _common(
     rasters: Sequence[_Description], named: _Description
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the tags of a mosaic, and the names of those that differ and are dropped."""
     first, differing = rasters[0], list[str]()
     tags = {**first.tags, "units": named.tags["units"]}
     for name, words in _ALIKE.items():
@@ -434,10 +406,7 @@ def _common(
 
 
 def _check_alike(first: _Description, other: _Description, named: _Description) -> None:
-    """Raise InvalidHeightsError unless a raster can be part of the first one's mosaic.
-
-    `named` is the raster whose unit is used.
-    """
+    """Raise InvalidHeightsError unless a raster fits the first one, and the unit of `named`."""
     if first.crs != other.crs:
         if first.crs and other.crs and (vertical := added_vertical(first.crs, other.crs)):
             raise InvalidHeightsError(
@@ -471,23 +440,8 @@ def _check_alike(first: _Description, other: _Description, named: _Description) 
     _place(first, other)
 
 
-def _check_kind(first: _Description, other: _Description) -> None:
-    """Raise InvalidHeightsError if one raster has depths and the other heights."""
-    crs_text = format_crs(first.crs)
-    kinds = [kind_name(one.told.kind, crs_text) for one in (first, other)]
-    if (kinds[0] == "depths") != (kinds[1] == "depths"):
-        _refuse_kinds([(one.name, one.told) for one in (first, other)], crs_text)
-
-
 def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None:
-    """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii.
-
-    Parameters
-    ----------
-    found : iterable of (name, Told)
-        By their metadata, else by their numbers.
-    crs_text : str, optional
-    """
+    """Raise InvalidHeightsError if only some of the rasters of a mosaic have radii."""
     pairs = list(found)
     for pair in pairs:
         if (pair[1].kind == RADIUS) != (pairs[0][1].kind == RADIUS):
@@ -495,7 +449,6 @@ def check_radii(found: Iterable[tuple[str, Told]], crs_text: str | None) -> None
 
 
 def _refuse_kinds(pair: Sequence[tuple[str, Told]], crs_text: str | None) -> NoReturn:
-    """Raise InvalidHeightsError for two rasters whose numbers mean something else."""
     (first, own), (other, found) = (
         (name, kind_name(told.kind, crs_text) + (f" ({told.by})" if told.kind else ""))
         for name, told in pair
@@ -553,7 +506,6 @@ def _pixel(transform: tuple[float, ...]) -> float:
 
 
 def _difference(mine: tuple[float, ...], theirs: tuple[float, ...]) -> float:
-    """Return the difference of two transforms' steps from pixel to pixel."""
     return max(abs(mine[k] - theirs[k]) for k in (0, 1, 3, 4))
 
 
@@ -566,7 +518,6 @@ def _grid_text(transform: tuple[float, ...]) -> str:
 
 
 def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[str]:
-    """Yield the statements of rasters, equal ones only once."""
     of_remarks: dict[str, list[_Description]] = {}
     for one, remarks in said:
         for remark in remarks:
@@ -576,13 +527,11 @@ def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[
 
 
 def _names(rasters: Sequence[Any]) -> str:
-    """Return the first one's name and the number of the others."""
     more = f" and {len(rasters) - 1} more" if len(rasters) > 1 else ""
     return f"{rasters[0].name}{more}"
 
 
 def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
-    """Yield a note if the rasters declare several nodata values, and the mosaic has one."""
     values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
     if len(values) > 1 or (values and repr(kept) not in values):
         yield (

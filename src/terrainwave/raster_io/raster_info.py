@@ -1,15 +1,16 @@
 """Metadata of a raster: size, type, nodata, position, units."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import NodataChoice, crs_name
+from terrainwave.container.metadata import EARLIER
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.names import ABOVE, BOTH
@@ -29,46 +30,33 @@ SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
 
 
 Tags = tuple[tuple[str, str], ...]
+_TEXTS = ("crs", "units", "area_or_point", "description", "color_interpretation")
 
 
 @dataclass(frozen=True)
 class RasterInfo:
     """Metadata of a raster.
 
-    Attributes
-    ----------
-    n_rows, n_cols : int
-        Size of the grid; >= 1.
-    dtype : str
-        numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
-    nodata : int, float or None
-        The declared nodata value: int for integer types, float (NaN and infinities allowed) for
-        float types, or None.
-    crs : str or None
-        ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
+    `n_rows`, `n_cols`: size of the grid; >= 1.
+    `dtype`: numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
+    `nodata`: the declared nodata value: int for integer types, float (NaN and infinities allowed)
+        for float types, or None.
+    `crs`: ``"AUTH:CODE"`` if that code's definition equals the raster's, else WKT (version 2 if it
         gives the same system back, else 1).
-    coordinate_epoch : float or None
-        Epoch of coordinates in a dynamic CRS, as a year such as 2020.5.
-    transform : tuple of 6 float
-        Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
-    units : str or None
-        Unit of the stored heights as the band names it.
-    scale, offset : float
-        Physical height = ``scale * stored + offset``.
-    area_or_point : str or None
-        ``"Area"`` or ``"Point"`` if the file states it.
-    description : str or None
-        Description of the band.
-    tags, band_tags : tuple of (name, value)
-        Other metadata of the file and its band, sorted by name: source, licence, and so on.
-    color_interpretation : str or None
-        GDAL's name of the band's colour, unless it is plain ``"gray"``.
-    mask_kind : str
-        Representation of voids: ``"none"`` (no voids), ``"nodata"`` (a number), ``"nan"``, or
-        ``"mask"`` (a mask band or alpha, perhaps with a nodata value).
-    heights_are : str or None
-        Meaning of the stored numbers, one of `place.meaning.KINDS`; None: heights, or depths if the
-        CRS's vertical axis points down.
+    `coordinate_epoch`: epoch of coordinates in a dynamic CRS, as a year such as 2020.5.
+    `transform`: affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col +
+        e*row + f``.
+    `units`: unit of the stored heights as the band names it.
+    `scale`, `offset`: physical height = ``scale * stored + offset``.
+    `area_or_point`: ``"Area"`` or ``"Point"`` if the file states it.
+    `description`: description of the band.
+    `tags`, `band_tags`: other metadata of the file and its band, sorted by name: source, licence,
+        and so on.
+    `color_interpretation`: GDAL's name of the band's colour, unless it is plain ``"gray"``.
+    `mask_kind`: representation of voids: ``"none"`` (no voids), ``"nodata"`` (a number), ``"nan"``,
+        or ``"mask"`` (a mask band or alpha, perhaps with a nodata value).
+    `heights_are`: meaning of the stored numbers, one of `place.meaning.KINDS`; None: heights, or
+        depths if the CRS's vertical axis points down.
     """
 
     n_rows: int
@@ -94,10 +82,7 @@ class RasterInfo:
         return self.n_rows, self.n_cols
 
     def stored_side(self, bound: str) -> int:
-        """Return the side of stored numbers: 1 above their originals, -1 below, 0 both.
-
-        Scales below 0 and depths turn up and down.
-        """
+        """Return the side of stored numbers: 1 above their originals, -1 below, 0 both."""
         if bound == BOTH:
             return 0
         side = 1 if bound == ABOVE else -1
@@ -106,7 +91,6 @@ class RasterInfo:
 
     @property
     def void_value(self) -> int | float:
-        """Value of a void sample in an array or file of this raster."""
         if self.nodata is not None:
             return self.nodata
         return math.nan if np.dtype(self.dtype).kind == "f" else 0
@@ -117,21 +101,15 @@ class RasterInfo:
 
     @property
     def told(self) -> Told:
-        """Return the meaning of the numbers by the band's own tags and names."""
         names = Names(None, self.description, is_length(self.units))
         return told_by(dict(self.band_tags), names, self.crs)
 
     def own_kind(
         self, low: float | None, high: float | None, *, is_asked: bool
     ) -> tuple[str | None, Told, str | None]:
-        """Return the file's side of `kind_problem`.
+        """Return the file's side of `kind_problem`, for the ends of its range in physical units.
 
-        Parameters
-        ----------
-        low, high : float, optional
-            Ends of the file's range, in physical units; None without heights.
-        is_asked : bool
-            The meaning of the other numbers was asked for: tags and numbers do not count.
+        `is_asked`: the meaning of the other numbers was asked for: tags and numbers do not count.
         """
         told = Told(self.heights_are)
         if not is_asked and low is not None and high is not None:
@@ -143,12 +121,10 @@ class RasterInfo:
 
     @property
     def n_bytes(self) -> int:
-        """Size of the uncompressed samples."""
         return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
 
     @property
     def impossible_places(self) -> str | None:
-        """Return a sentence with the likely cause if samples lie at impossible degrees."""
         is_placed = self.transform != IDENTITY
         return impossible_places(self.crs, self.transform, self.shape, is_placed=is_placed)
 
@@ -167,9 +143,9 @@ class RasterInfo:
         return parse_crs(self.crs)
 
     def to_metadata(self) -> dict[str, Any]:
-        """Return plain values for JSON; numbers that JSON lacks become "nan", "inf", "-inf"."""
         fields = asdict(self)
-        fields["nodata"] = _number_to_plain(self.nodata)
+        if isinstance(self.nodata, float) and not math.isfinite(self.nodata):
+            fields["nodata"] = str(self.nodata)
         fields["transform"] = list(self.transform)
         fields["tags"], fields["band_tags"] = dict(self.tags), dict(self.band_tags)
         return fields
@@ -197,34 +173,25 @@ class RasterInfo:
                 if problem:
                     raise ValueError(problem)
             heights_are = fields.get("heights_are")
+            texts = {name: _optional_text(fields.get(name)) for name in _TEXTS}
             return cls(
                 n_rows=_positive(fields["n_rows"]),
                 n_cols=_positive(fields["n_cols"]),
                 dtype=dtype,
                 nodata=nodata,
-                crs=_optional_text(fields.get("crs")),
                 transform=transform,
-                units=_optional_text(fields.get("units")),
                 scale=_finite(fields.get("scale", 1.0)),
                 offset=_finite(fields.get("offset", 0.0)),
-                area_or_point=_optional_text(fields.get("area_or_point")),
-                description=_optional_text(fields.get("description")),
                 mask_kind=mask_kind,
                 tags=_tags(fields.get("tags")),
                 band_tags=_tags(fields.get("band_tags")),
-                color_interpretation=_optional_text(fields.get("color_interpretation")),
                 # Readers ignore unknown words (FORMAT.md §4.2).
                 heights_are=heights_are if heights_are in KINDS else None,
                 coordinate_epoch=_year(fields.get("coordinate_epoch")),
+                **texts,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CorruptStreamError(f"the raster's metadata are damaged: {error!r}") from error
-
-
-def _number_to_plain(value: int | float | None) -> int | float | str | None:
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)  # "nan", "inf" or "-inf"
-    return value
 
 
 def _year(value: Any) -> float | None:
@@ -309,16 +276,105 @@ def undeclared_by(
 
 
 def is_same_value(one: int | float, other: int | float, dtype: np.dtype[Any]) -> bool:
-    """Return True if two nodata values mean the same samples of a type."""
     if math.isnan(one) or math.isnan(other):
         return math.isnan(one) and math.isnan(other)
     return bool(stored_nodata(one, dtype) == stored_nodata(other, dtype))
 
 
 def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:
-    """Return the stored sample value that means `nodata`."""
     with np.errstate(over="ignore", under="ignore"):
         value = np.float64(nodata).astype(dtype) if dtype.kind == "f" else dtype.type(nodata)
     if dtype.kind == "f" and math.isfinite(nodata) and not np.isfinite(value):
         return np.copysign(np.finfo(dtype).max, value)
     return value
+
+
+class EarlierFile(NamedTuple):
+    """A file that heights went through, and its bound from their original, in physical units."""
+
+    file: str
+    max_error: float
+
+
+class EarlierLoss(NamedTuple):
+    """Bound of heights from their original by the last of some files, in physical units."""
+
+    max_error: float
+    files: tuple[EarlierFile, ...] = ()
+
+
+NO_LOSS = EarlierLoss(0.0)
+
+
+def earlier_files(metadata: Mapping[str, object]) -> tuple[EarlierFile, ...]:
+    found = metadata.get(EARLIER)
+    files = found if isinstance(found, list) else []
+    return tuple(
+        EarlierFile(file["file"], float(file["max_error"]))
+        for file in files
+        if isinstance(file, dict)
+        and isinstance(file.get("file"), str)
+        and isinstance(file.get("max_error"), int | float)
+    )
+
+
+# Limit in UTF-8 bytes of the names and values of one set: files open with one short read.
+_MOST_BYTES = 16 << 10
+# Usual colours of bands; an alpha or a palette would have another meaning in the output.
+PLAIN_COLORS = ("gray", "undefined", "alpha", "palette")
+# A domain that GDAL's commands do not copy. They copy plain tags to rasters that were resampled or
+# computed, for which a bound does not hold.
+DOMAIN = "TERRAINWAVE"
+# Stored in a field of its own; statistics were computed before heights were rounded.
+_OWN = "AREA_OR_POINT"
+_MEASURED = "STATISTICS_"
+# Names that rasterio's `update_tags` uses for its own arguments.
+_RESERVED = ("ns", "bidx")
+
+
+class KeptTags(NamedTuple):
+    """Kept tags, and the names of those that are too long or not text."""
+
+    kept: Tags
+    left_out: tuple[str, ...]
+
+
+def select_tags(tags: Mapping[str, str]) -> KeptTags:
+    sizes = {name: _size(name) + _size(value) for name, value in writable_tags(tags.items())}
+    kept, room = [], _MOST_BYTES
+    for name in sorted(sizes, key=lambda name: (sizes[name], name)):
+        if sizes[name] <= room:
+            room -= sizes[name]
+            kept.append((name, tags[name]))
+    names = {name for name, _ in kept}
+    left_out = (name for name in tags if name not in names and not _is_own(name))
+    return KeptTags(tuple(sorted(kept)), tuple(left_out))
+
+
+def common_tags(sets: Iterable[Tags]) -> Tags:
+    first, *others = map(set, sets)
+    return tuple(sorted(first.intersection(*others)))
+
+
+def writable_tags(tags: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the tags that GDAL can write; those of an untrusted file may be any text."""
+    for name, value in tags:
+        is_text = all(_size(text) >= 0 and "\0" not in text for text in (name, value))
+        if name and "=" not in name and name not in _RESERVED and is_text and not _is_own(name):
+            yield name, value
+
+
+def is_statistic(name: str) -> bool:
+    return name.upper().startswith(_MEASURED)
+
+
+def _is_own(name: str) -> bool:
+    return name.upper() == _OWN or is_statistic(name)
+
+
+def _size(text: str) -> int:
+    """Return the UTF-8 bytes of a text; -1 if it is not text."""
+    try:
+        return len(text.encode())
+    except UnicodeEncodeError:
+        return -1

@@ -69,7 +69,6 @@ _GDAL_NAMES = {
 }
 
 
-# Opens a .twz file, given by its path or already open, as a raster.
 OpenTerrain = Callable[..., RasterBackend]
 # Windows narrower than this fraction of the width decode mostly unwanted samples.
 _NARROW_COLS = 1024
@@ -84,63 +83,19 @@ _SCAN_SAMPLES = 1 << 19
 class RasterSource:
     """One band of a raster, read window by window.
 
-    Parameters
-    ----------
-    source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
-        The raster. A list is a mosaic: rasters of one grid; where they overlap, the last one
-        counts. A dataset of rasterio is not closed; those of xarray may be lazy. With
-        `open_terrain` also .twz files, by their paths or open.
-    band : int
-        Number of the band, from 1. A note says if other bands exist and none was chosen.
-    nodata : int, float or str, optional
-        A value that marks voids, besides the values that the raster declares; ``"only:V"`` uses V
-        instead of these, ``"none"`` no value at all.
-    georeference : bool
-        False ignores the source's transform and CRS.
-    heights_are : {"height", "depth", "radius"}, optional
-        Meaning of the numbers; overrides the metadata.
-    warn : bool
-        Issue `notes` as warnings; off in tasks that open the same raster again.
-    open_terrain : callable, optional
-        Opens a .twz file as a raster (`file.raster`); without it they are refused.
+    A list of rasters is a mosaic: rasters of one grid; where they overlap, the last one counts. A
+    dataset of rasterio is not closed; those of xarray may be lazy. With `open_terrain` also .twz
+    files, by their paths or open. `nodata` marks voids, besides the values that the raster
+    declares; ``"only:V"`` uses V instead of these, ``"none"`` no value at all. `warn` issues
+    `notes` as warnings, except its asides. Raises `InvalidHeightsError` or `StorageError` if the
+    raster cannot be used, or `nodata` does not fit.
 
-    Attributes
-    ----------
-    info : RasterInfo
-        All metadata.
-    name : str
-        Name of the source in messages.
-    notes : tuple of str
-        Notes on omissions and choices, one sentence each; issued as `TerrainwaveWarning`, except
-        its asides.
-    n_bytes_read : int
-        Bytes of heights read so far.
-    told : Told or None
-        Meaning of the numbers by the metadata; None for plain arrays.
-    is_asked : bool
-        `heights_are` was given.
-    is_file : bool
-        Windows are decoded from a file.
-    earlier : EarlierLoss or None
-        The earlier loss of heights from .twz files, the largest of several.
-    came_from : str or None
-        The .twz file that an array names as its source.
-    undeclared_values : tuple of (int or float)
-        Values that sources declare void, but `nodata` does not.
-    is_striped : bool
-        True if narrow windows decode much wider ones: a scan in the order of `blocks` is then many
-        times cheaper than small windows.
+    `told` is the meaning of the numbers by the metadata, None for plain arrays; `is_asked` is true
+    with `heights_are`. `earlier` is the earlier loss of heights from .twz files, the largest of
+    several, `came_from` the .twz file that an array names as its source. `undeclared_values` are
+    declared void by sources, but not by `nodata`. `is_striped` is true if narrow windows decode
+    much wider ones: a scan in the order of `blocks` is then many times cheaper than small windows.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If the band is missing, its type is unsupported, the array is not 2-D or empty, or
-        `nodata` does not fit the type; or if a .twz file is given.
-    StorageError
-        If the file is missing or not a raster.
-
-    Notes
-    -----
     Thread-safe. A GDAL dataset serves one thread at a time: a local GeoTIFF is opened again for
     each further thread, others are read by one thread at a time. A dataset that the caller passed
     must not be used elsewhere meanwhile, and nothing may be read while `close` runs.
@@ -191,7 +146,6 @@ class RasterSource:
         self.is_striped = self.is_file and block_cols >= self.info.n_cols > _NARROW_COLS
 
     def _settle_nodata(self, choice: NodataChoice, notes: list[str]) -> int | float | None:
-        """Return the file's nodata value; store the other values that mark voids."""
         dtype, declared = self._backend.dtype, self._backend.nodata
         # Stored values that mark voids, including the file's nodata value.
         self._voids: list[Any] = []
@@ -218,7 +172,6 @@ class RasterSource:
         return nodata
 
     def _complete_info(self, choice: NodataChoice, notes: list[str]) -> RasterInfo:
-        """Check the band's type and decide nodata; append to `notes`."""
         backend = self._backend
         dtype = backend.dtype
         _check_dtype(dtype, self.name)
@@ -254,16 +207,10 @@ class RasterSource:
         return info
 
     def with_meaning(self, minimum: float, maximum: float) -> tuple[RasterInfo, list[str]]:
-        """Return `info` with the meaning of the numbers, decided by all valid ones, and notes.
+        """Return `info` with the meaning of the numbers, by the extremes as stored, and notes.
 
         Reads the raster again if only a name suggests depths and some values are below 0, and the
-        rasters of a mosaic if some may have radii and others not. Raises `InvalidHeightsError` if
-        only some rasters of a mosaic have radii.
-
-        Parameters
-        ----------
-        minimum, maximum : float
-            Extremes of all valid heights, as stored.
+        rasters of a mosaic if some may have radii and others not, which is refused.
         """
         info = self.info
         if self.is_asked or minimum > maximum:
@@ -286,13 +233,8 @@ class RasterSource:
     def settled(self, crs_text: str | None) -> Told | None:
         """Return the meaning of the numbers, told or else by their values; None without any.
 
-        Reads on while all values may be radii. Raises `InvalidHeightsError` if only some rasters of
-        a mosaic have radii.
-
-        Parameters
-        ----------
-        crs_text : str, optional
-            The CRS of a raster that has none.
+        `crs_text` is the CRS of a raster that has none. Raises `InvalidHeightsError` if only some
+        rasters of a mosaic have radii.
         """
         crs_text = self.info.crs or crs_text
         if not self.is_asked:
@@ -302,7 +244,6 @@ class RasterSource:
         return by_numbers(self.told or Told(), crs_text, metres)
 
     def _refuse_some_radii(self, crs_text: str | None) -> None:
-        """Raise `InvalidHeightsError` if only some rasters of a mosaic have radii."""
         found = list[tuple[str, Told]]()
         with self._lent() as backend:
             for name, told, windows in backend.parts(_SCAN_SAMPLES):
@@ -352,17 +293,9 @@ class RasterSource:
         return other
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
+        """Return heights of a window inside the grid, a copy, and their validity.
 
-        Raises `InvalidHeightsError` if a valid sample is infinite. Raises `StorageError` if the
-        source cannot be read there.
-
-        Returns
-        -------
-        heights : ndarray of the source's dtype, shape (n_rows, n_cols)
-            A writable copy; void samples hold the source's values.
-        valid : ndarray of bool, shape (n_rows, n_cols)
-            False where the sample is void.
+        Raises `InvalidHeightsError` if a valid sample is infinite, `StorageError` if reading fails.
         """
         info = self.info
         if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
@@ -387,10 +320,7 @@ class RasterSource:
         return heights, valid
 
     def even(self, region: Region) -> Even | None:
-        """Return the common content of a region inside the grid, without reading it.
-
-        None if the source's index does not give it.
-        """
+        """Return the common content of a region if the source's index gives it."""
         with self._lent() as backend:
             even = backend.even(region)
         if even is None or not even.is_valid:
@@ -404,10 +334,7 @@ class RasterSource:
         return Even(value, not is_void)
 
     def undeclared(self, region: Region) -> np.ndarray | None:
-        """Return which heights of a region the source declares void, against `nodata`.
-
-        None if no such value was declared.
-        """
+        """Return which heights of a region the source declares void, against `nodata`, if any."""
         if not self._backend.undeclared:
             return None
         heights, valid = self.read(*region)
@@ -429,20 +356,13 @@ class RasterSource:
             )
 
     def blocks(self, max_samples: int = _SCAN_SAMPLES) -> Iterator[Region]:
-        """Yield windows that cover the grid once, in the order of the source's blocks.
-
-        Each holds at most `max_samples` samples: full-width strips if they fit, else rows of whole
-        blocks cut in width.
-        """
+        """Yield windows that cover the grid, in the order of its blocks."""
         info = self.info
         block_rows, block_cols = self._backend.block_shape
         yield from scan_windows(info.n_rows, info.n_cols, block_rows, block_cols, max_samples)
 
     def parts(self) -> Iterator[tuple[Region, Even | None]]:
-        """Yield windows that cover the grid once, as `blocks` does, with the content of even ones.
-
-        A window with an even part is divided.
-        """
+        """Yield the windows of `blocks`, divided where a part is even, with their content."""
         bands: dict[int, Even | None] = {}
         band = Region(0, 0, 0, 0)
         for block in self.blocks():
@@ -464,7 +384,6 @@ class RasterSource:
                 yield from parts
 
     def close(self) -> None:
-        """Close files that were opened here."""
         for backend in (self._backend, *self._others):
             backend.close()
 
@@ -476,7 +395,6 @@ class RasterSource:
 
 
 def _ends(windows: Iterable[tuple[np.ndarray, np.ndarray]]) -> Iterator[tuple[float, float]]:
-    """Yield the extremes of the valid heights of windows, as stored."""
     for heights, valid in windows:
         found = heights[valid]
         if found.size:
@@ -519,7 +437,6 @@ class _Opening:
     heights_are: str | None
 
     def backend(self, source: Any) -> RasterBackend:
-        """Open the source."""
         if isinstance(source, list | tuple) and source and all(map(self._is_raster, source)):
             if len(source) > 1:
                 if not self.georeference:
@@ -549,12 +466,10 @@ class _Opening:
         )
 
     def _is_raster(self, source: Any) -> bool:
-        """Return whether it is the path of a raster, or an open raster with a position."""
         is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
         return is_dataset or isinstance(source, str | os.PathLike) or self._is_terrain(source)
 
     def _is_terrain(self, source: Any) -> bool:
-        """Return whether it is a .twz file that can be opened here."""
         if self.open_terrain is None:
             return False
         if isinstance(source, str | os.PathLike):
@@ -573,7 +488,6 @@ class _Opening:
         )
 
     def _refuse_options_of_rasters(self, source: Any) -> None:
-        """Raise `InvalidArgumentError` for options that do not apply to .twz files."""
         name = shown(getattr(source, "name", source))
         if self.band != 1:
             raise InvalidArgumentError(

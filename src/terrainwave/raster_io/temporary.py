@@ -25,21 +25,10 @@ _UNWRITTEN, _OF_ONE_VALUE = 0, 255
 class Spool:
     """A 2-D array of fixed shape with windowed reads and writes; thread-safe for disjoint writes.
 
-    In the file, a tile of whole numbers with a small range takes one or two bytes per sample, as
-    distances from the lowest, if it was written as a whole.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns.
-    dtype : dtype
-        Element type.
-    directory : Path
-        Directory of the temporary file, if one is needed; it is deleted by `close`.
-    origin : tuple of int
-        Row and column of the first sample: regions are counted as those of a larger array.
-    path : Path, optional
-        The file to use instead; it may exist already and is not deleted.
+    In its file, a tile of whole numbers with a small range takes one or two bytes per sample, as
+    distances from the lowest, if it was written as a whole. Regions are counted from `origin`, as
+    those of a larger array. The file at `path` may exist already and is kept; without one a
+    temporary file in `directory` is deleted by `close`.
     """
 
     def __init__(
@@ -75,11 +64,7 @@ class Spool:
         self._n_slots = 0
 
     def _open(self, path: Path, n_tiles: tuple[int, int]) -> None:
-        """Use a file that outlives this object, with a fixed place for each tile.
-
-        Compressed tiles leave holes there. One of two accompanying files holds the states of the
-        tiles, the other their values.
-        """
+        """Use a file that outlives this object; tiles have fixed places, and holes."""
         states, values = _beside(path)
         is_there = self.was_there = path.exists() and states.exists() and values.exists()
         mode: Any = "r+" if is_there else "w+"
@@ -92,14 +77,10 @@ class Spool:
 
     @property
     def region(self) -> Region:
-        """Return the whole array as a region."""
         return Region(*self.origin, *self.shape)
 
     def read(self, region: Region) -> NDArray[Any]:
-        """Return a copy of the samples of `region`.
-
-        Raises `ValueError` if `region` does not lie inside the array.
-        """
+        """Return a copy of the samples of `region`, which must lie inside the array."""
         if self._memory is not None:
             return self.view(region).copy()
         self._check_inside(region)
@@ -114,10 +95,7 @@ class Spool:
         return window
 
     def view(self, region: Region) -> NDArray[Any]:
-        """Return the samples of `region`, read-only; not copied if they are in memory.
-
-        Raises `ValueError` if `region` does not lie inside the array.
-        """
+        """Return the samples of `region`, read-only; not copied if they are in memory."""
         if self._memory is None:
             return self.read(region)
         self._check_inside(region)
@@ -128,10 +106,7 @@ class Spool:
             raise ValueError(f"{region} is not inside {self.region}")
 
     def write(self, region: Region, values: NDArray[Any]) -> None:
-        """Store `values` in `region`; windows made of whole tiles are written without reading.
-
-        Tiles of one value take no space.
-        """
+        """Store `values` in `region`; whole tiles are written without reading."""
         if self._memory is not None:
             self._memory[region.slices_in(self.region)] = values
             return
@@ -154,7 +129,7 @@ class Spool:
                 self._write_tile(at, content, low, 0 if is_one else self.dtype.itemsize)
 
     def fill(self, region: Region, value: Any) -> None:
-        """Store one value in a region; whole tiles that were never written take no space.
+        """Store one value in a region, in no space if whole tiles were never written.
 
         Whole tiles from an earlier run are not changed: that run wrote them after filling.
         """
@@ -214,7 +189,6 @@ class Spool:
         return number * TILE * TILE
 
     def _whole_tile(self, at: tuple[int, int]) -> NDArray[Any]:
-        """Return all samples of a tile; the caller holds the lock."""
         if not _is_in_file(self._states[at]):
             return np.full((TILE, TILE), self._values[at])
         n_bytes = int(self._states[at])
@@ -251,7 +225,8 @@ class Spool:
                 content = (content - low).astype(f"u{n_bytes}")
             if content.shape != (TILE, TILE):  # cut by the array's edge
                 content = np.pad(content, [(0, TILE - n) for n in content.shape])
-            if not self.is_kept and n_bytes > self._n_bytes_in_file(at):
+            n_before = self._states[at] if _is_in_file(self._states[at]) else 0
+            if not self.is_kept and n_bytes > n_before:
                 self._slots[at] = self._n_slots
                 self._n_slots += n_bytes
             try:
@@ -263,13 +238,8 @@ class Spool:
         self._values[at] = low
         self._states[at] = n_bytes or _OF_ONE_VALUE
 
-    def _n_bytes_in_file(self, at: tuple[int, int]) -> int:
-        state = self._states[at]
-        return int(state) if _is_in_file(state) else 0
-
 
 def is_small(shape: tuple[int, int], dtype: DTypeLike) -> bool:
-    """Return whether an array stays in memory."""
     return shape[0] * shape[1] * np.dtype(dtype).itemsize <= MEMORY_LIMIT
 
 
@@ -283,11 +253,7 @@ def _is_in_file(states: Any) -> Any:
 
 
 def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
-    """Return the lowest value, and the bytes needed for each distance from it.
-
-    0 bytes if all values are equal; the size of the type, and any value, if they are not whole
-    numbers.
-    """
+    """Return the lowest value, and the bytes for each distance from it: 0 if all are equal."""
     if _is_one(values):
         return values[0, 0], 0
     if values.dtype.kind in "iu":
@@ -300,6 +266,5 @@ def _narrowest(values: NDArray[Any]) -> tuple[Any, int]:
 
 
 def _is_one(values: NDArray[Any]) -> bool:
-    """Return whether all values are equal, bit for bit."""
     first = values[0, 0]
     return bool(are_bits(values[0], first).all() and are_bits(values, first).all())

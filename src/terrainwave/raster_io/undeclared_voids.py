@@ -54,13 +54,7 @@ class _Survey(NamedTuple):
 def note_on_marks(source: RasterSource, minimum: float, maximum: float) -> list[str]:
     """Return a sentence for each value that looks like an undeclared void.
 
-    Reads the raster again only if an extreme is close to a common marker of voids. Several such
-    values may lie next to each other.
-
-    Parameters
-    ----------
-    minimum, maximum : float
-        Extremes of all valid heights, as stored.
+    Reads the raster again only if an extreme, as stored, is close to a common marker of voids.
     """
     ends = dict.fromkeys((minimum, maximum))
     for end in ends:
@@ -90,12 +84,7 @@ def note_on_undeclared(
 ) -> list[str]:
     """Return a sentence that counts heights that would be voids without `nodata`.
 
-    Reads the raster again only if such a value can be among its heights.
-
-    Parameters
-    ----------
-    minimum, maximum : float
-        Extremes of all valid heights, as stored.
+    Reads the raster again only if such a value can lie between the extremes, as stored.
     """
     dtype = np.dtype(source.info.dtype)
     values = source.undeclared_values
@@ -117,7 +106,6 @@ def note_on_undeclared(
 
 
 def _is_near_mark(heights: Any) -> Any:
-    """Return which heights are within `_NEAR` of a mark."""
     near = np.zeros(np.shape(heights), dtype=np.bool_)
     for mark in _MARKS:
         near |= (heights >= mark - _NEAR) & (heights <= mark + _NEAR)
@@ -125,7 +113,6 @@ def _is_near_mark(heights: Any) -> Any:
 
 
 def _survey(source: RasterSource, is_suspect: Any) -> _Survey:
-    """Read all heights; return the suspect ones by value, and the ranges of the others."""
     found: dict[Any, _Found] = {}
     ranges = {True: (np.inf, -np.inf), False: (np.inf, -np.inf)}
     for region, even in source.parts():

@@ -11,6 +11,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -42,21 +43,133 @@ from terrainwave.place.meaning import check_kind
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.dataset import opened
 from terrainwave.raster_io.even import Even, even_parts
-from terrainwave.raster_io.vrt.warped import remark_on_windows
-from terrainwave.verification.metrics import ErrorReport, ErrorSum
-from terrainwave.verification.original import Original, place_text
-from terrainwave.verification.raster_metadata import (
+from terrainwave.raster_io.vrt import remark_on_windows
+from terrainwave.verification.original import (
+    Original,
     metadata_problems,
     place_problem,
+    place_text,
     unit_problem,
 )
+
+
+@dataclass(frozen=True)
+class ErrorReport:
+    """Errors over all samples that are valid in both rasters.
+
+    `n_valid`: number of compared samples.
+    `max_error`: largest absolute difference, in the units given to `ErrorSum`; 0 if nothing was
+        compared.
+    `rmse`: root of the mean squared difference; 0 if nothing was compared.
+    `worst_row`, `worst_col`: the first sample with the largest difference; None if all are equal.
+    `n_mask_differences`: samples that are valid in one raster and void in the other.
+    """
+
+    n_valid: int
+    max_error: float
+    rmse: float
+    worst_row: int | None
+    worst_col: int | None
+    n_mask_differences: int
+
+
+class ErrorSum:
+    """Adds up differences over windows; `report` gives the result.
+
+    Differences are taken in float64, and of short integers in int32 (exact for every integer type,
+    and for float32 unless the two heights are more than 2^29 times apart), and multiplied by
+    `scale` afterwards.
+    """
+
+    def __init__(self, scale: float = 1.0) -> None:
+        self._scale = abs(scale)
+        self._n_valid = 0
+        self._squares = 0.0
+        self._largest = 0.0
+        self._worst: tuple[int, int] | None = None
+        self._n_mask_differences = 0
+
+    def add(
+        self,
+        row: int,
+        col: int,
+        original: np.ndarray,
+        decoded: np.ndarray,
+        valid: np.ndarray,
+        decoded_valid: np.ndarray,
+        n_alike: int = 1,
+    ) -> np.ndarray:
+        """Add a window; a sample stands for `n_alike`. Return unscaled absolute differences."""
+        both = valid & decoded_valid
+        n_both, n_one = np.count_nonzero(both), np.count_nonzero(valid != decoded_valid)
+        self._n_mask_differences += n_alike * int(n_one)
+        self._n_valid += n_alike * int(n_both)
+        if original.dtype.kind in "iu" and original.dtype.itemsize <= 2:
+            differences = _small_differences(original, decoded, both, is_whole=n_both == both.size)
+        else:
+            differences = _differences(original, decoded, both)
+        if not differences.size:
+            return differences
+        at = int(np.argmax(differences))
+        largest = float(differences.flat[at])
+        self._squares += n_alike * _sum_of_squares(differences, largest)
+        if largest > self._largest:
+            self._largest = largest
+            at_row, at_col = divmod(at, differences.shape[1])
+            self._worst = row + at_row, col + at_col
+        return differences
+
+    def is_within(self, bound: float, dtype: np.dtype[Any]) -> bool:
+        """Return whether all unscaled differences are within a bound, also rounded to a type."""
+        rounded = float(dtype.type(self._largest)) if dtype.kind == "f" else self._largest
+        return max(self._largest, rounded) <= bound
+
+    def report(self) -> ErrorReport:
+        """Return the report so far."""
+        worst_row, worst_col = self._worst or (None, None)
+        return ErrorReport(
+            n_valid=self._n_valid,
+            max_error=self._largest * self._scale,
+            rmse=math.sqrt(self._squares / max(self._n_valid, 1)) * self._scale,
+            worst_row=worst_row,
+            worst_col=worst_col,
+            n_mask_differences=self._n_mask_differences,
+        )
+
+
+def _differences(original: np.ndarray, decoded: np.ndarray, both: np.ndarray) -> np.ndarray:
+    differences = np.zeros(both.shape, dtype=np.float64)
+    # Voids may hold infinities and NaN: they are never subtracted.
+    with np.errstate(invalid="ignore"):
+        np.subtract(decoded, original, out=differences, where=both, dtype=np.float64)
+    np.abs(differences, out=differences)
+    # NaN or infinity on one side, which no bound covers and no comparison would find.
+    differences[np.isnan(differences)] = np.inf
+    return differences
+
+
+def _small_differences(
+    original: np.ndarray, decoded: np.ndarray, both: np.ndarray, *, is_whole: bool
+) -> np.ndarray:
+    differences: np.ndarray = np.subtract(decoded, original, dtype=np.int32)
+    if not is_whole:
+        np.copyto(differences, 0, where=~both)
+    return np.abs(differences, out=differences)
+
+
+def _sum_of_squares(differences: np.ndarray, largest: float) -> float:
+    if largest == 0:
+        return 0.0
+    if differences.dtype.kind == "i" and largest**2 * differences.shape[1] < 2**31:
+        return float(np.einsum("ij,ij->i", differences, differences).sum(dtype=np.int64))
+    return float(np.vdot(differences, differences.astype(np.float64, copy=False)))
+
 
 if TYPE_CHECKING:
     from terrainwave.verification.mesh_walk import MeshReport
 
 # Largest number of problems of one kind that are listed; further ones are counted.
 _MAX_LISTED = 10
-# Largest number of damaged parts of a file that are listed.
 _MOST_LISTED = 100
 
 # An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.
@@ -288,23 +401,18 @@ def _with_meshes(
 
 
 def _report(terrain: Any, twz: Any, max_error: float | None, **found: Any) -> VerifyReport:
+    root = None
+    with suppress(CorruptStreamError):  # which the check of the file reports
+        root = terrain.digest()
     return VerifyReport(
         path=os.fspath(twz),
         bound=float(terrain.effective_error if max_error is None else max_error),
         max_error=terrain.max_error,
         effective_error=terrain.effective_error,
         earlier=terrain.info().earlier,
-        root=_root(terrain),
+        root=root,
         **found,
     )
-
-
-def _root(terrain: Any) -> str | None:
-    try:
-        found: str | None = terrain.digest()
-    except CorruptStreamError:
-        return None  # the check of the file reports it
-    return found
 
 
 class _Comparison:
@@ -377,7 +485,9 @@ class _Comparison:
             heights, decoded_valid = np.ma.getdata(decoded), ~np.ma.getmaskarray(decoded)
             both = valid & decoded_valid
             differences = errors.add(row, col, original, heights, valid, decoded_valid, n_alike)
-            beyond.add(row, col, differences, self._allowed(original, heights, both), n_alike)
+            beyond.add_beyond(
+                row, col, differences, self._allowed(original, heights, both), n_alike
+            )
             if keeps_signs:
                 zeros = both & (original == 0) & (heights == 0)
                 differ = zeros & (np.signbit(original) != np.signbit(heights))
@@ -390,10 +500,13 @@ class _Comparison:
             n_done += n_alike * n_rows * n_cols
             report(n_done + self._n_known)
         report(total)
+        if len(unreadable) > _MAX_LISTED:
+            n_more = len(unreadable) - _MAX_LISTED
+            unreadable[_MAX_LISTED:] = [f"… and {n_more} more windows like these"]
         problems = [
-            *_shortened(unreadable),
+            *unreadable,
             *self._mask_problems(errors.report(), n_taken),
-            *beyond.problems(self._scale, self._bound),
+            *beyond.problems_beyond(self._scale, self._bound),
             *signs.problems(_OTHER_ZEROS),
             *wrong_side.problems(f"not {word} the original, {{first}}, against the file's bound"),
         ]
@@ -477,22 +590,22 @@ class _Counted:
     """Counts samples of a kind, and keeps the first."""
 
     def __init__(self) -> None:
-        self._count = 0
-        self._first = 0, 0
+        self._count = self._row = self._col = 0
 
     def add(self, row: int, col: int, found: np.ndarray, n_alike: int) -> None:
-        if not found.any():
-            return
-        if not self._count:
-            at_row, at_col = np.argwhere(found)[0]
-            self._first = row + int(at_row), col + int(at_col)
+        if found.any() and not self._count:
+            at_row, at_col = np.argwhere(found)[0].tolist()
+            self._row, self._col = row + at_row, col + at_col
         self._count += n_alike * int(np.count_nonzero(found))
+
+    @property
+    def _samples(self) -> str:
+        return "1 sample is" if self._count == 1 else f"{self._count} samples are"
 
     def problems(self, words: str) -> Iterator[str]:
         if self._count:
-            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
-            row, col = self._first
-            yield f"{samples} {words.format(first=f'the first at row {row}, column {col}')}"
+            place = f"the first at row {self._row}, column {self._col}"
+            yield f"{self._samples} {words.format(first=place)}"
 
 
 _OTHER_ZEROS = (
@@ -501,37 +614,26 @@ _OTHER_ZEROS = (
 )
 
 
-class _Worst:
+class _Worst(_Counted):
     """Counts samples beyond their allowance and keeps the worst."""
 
-    def __init__(self) -> None:
-        self._count = 0
-        self._excess = 0.0
-        self._row = self._col = 0
-        self._difference = 0.0
+    _excess = _difference = 0.0
 
-    def add(self, row: int, col: int, differences: np.ndarray, allowed: Any, n_alike: int) -> None:
+    def add_beyond(
+        self, row: int, col: int, differences: np.ndarray, allowed: Any, n_alike: int
+    ) -> None:
         if np.ndim(allowed) == 0 and differences.max() <= allowed:
             return
         excess = differences - allowed
         self._count += n_alike * int(np.count_nonzero(excess > 0))
         at = int(np.argmax(excess))
         if excess.flat[at] > self._excess:
-            self._excess = float(excess.flat[at])
             at_row, at_col = divmod(at, excess.shape[1])
             self._row, self._col = row + at_row, col + at_col
-            self._difference = float(differences.flat[at])
+            self._excess, self._difference = float(excess.flat[at]), float(differences.flat[at])
 
-    def problems(self, scale: float, bound: float) -> Iterator[str]:
-        if self._count:
-            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
-            yield (
-                f"{samples} further from the original than {bound:.17g}; the worst, at row"
-                f" {self._row}, column {self._col}, by {self._difference * abs(scale):.17g}"
-            )
-
-
-def _shortened(problems: list[str]) -> list[str]:
-    if len(problems) <= _MAX_LISTED:
-        return problems
-    return [*problems[:_MAX_LISTED], f"… and {len(problems) - _MAX_LISTED} more windows like these"]
+    def problems_beyond(self, scale: float, bound: float) -> Iterator[str]:
+        return self.problems(
+            f"further from the original than {bound:.17g}; the worst, at row {self._row}, column"
+            f" {self._col}, by {self._difference * abs(scale):.17g}"
+        )

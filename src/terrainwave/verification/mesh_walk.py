@@ -4,33 +4,28 @@ Walks the blocks of all levels depth first and holds a chain of ancestors, one w
 and the border lines of blocks with pending neighbours.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
 from terrainwave.grid.affine import determinant
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.verification.area_mesh import (
-    ReadOriginal,
-    area_problems,
-    error_problems,
-    missing_samples,
-)
-from terrainwave.verification.checked_mesh import CheckedMesh, deviation
+from terrainwave.verification.checks import CheckedMesh, deviation
 from terrainwave.verification.on_grid import (
     BorderLine,
     QuantaScale,
+    ReadOriginal,
+    area_problems,
     block_mask,
     block_problems,
     block_surface,
     border_line,
+    error_problems,
     line_problems,
+    missing_samples,
     must_be_covered,
 )
 
@@ -43,11 +38,10 @@ _MAX_LISTED = 20
 
 @dataclass(frozen=True)
 class LevelMeshes:
-    """Stored meshes of a level.
+    """Stored meshes of a level, with errors in physical units.
 
-    Errors in physical units: `stored_error` is the largest one in the index, or else the largest
-    bound derived from the meshes; `measured_error` is the largest measured distance, from the
-    originals, or without them from the decoded heights.
+    `stored_error` is the largest one in the index, or else bound of the meshes; `measured_error`
+    the largest distance from the originals, or without them from the decoded heights.
     """
 
     level: int
@@ -75,10 +69,7 @@ class AreaMeshes:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """Result of checking a file's meshes.
-
-    `against` is ``"original"`` or ``"decoded"``: the reference of measured errors.
-    """
+    """Result of checking a file's meshes, with errors from the ``"original"`` or ``"decoded"``."""
 
     kind: str
     against: str
@@ -94,37 +85,11 @@ class _Stated(NamedTuple):
     error: float
 
 
-@dataclass
-class Checks:
-    """Problems, shortened to the first ones."""
-
-    problems: list[str] = field(default_factory=list)
-    n_left_out: int = 0
-
-    def add(self, where: str, problems: Iterator[str] | list[str]) -> None:
-        """Record problems of a place."""
-        for problem in problems:
-            if len(self.problems) < _MAX_LISTED:
-                self.problems.append(f"{where}: {problem}")
-            else:
-                self.n_left_out += 1
-
-    def all(self) -> list[str]:
-        """Return the recorded problems, and the number of further ones."""
-        if not self.n_left_out:
-            return self.problems
-        return [*self.problems, f"… and {self.n_left_out} more problems of meshes"]
-
-
 class MeshVerification:
     """The checks of one file's meshes.
 
-    Parameters
-    ----------
-    terrain : Terrain
-    read : callable, optional
-        Returns raw originals and validity of a region of the full grid; without it errors are
-        measured from the decoded heights, and may exceed the stated ones by the file's own bound.
+    Without `read` errors are measured from the decoded heights, and may exceed the stated ones by
+    the file's own bound.
     """
 
     def __init__(
@@ -135,14 +100,15 @@ class MeshVerification:
     ) -> None:
         self._terrain, self._grid = terrain, terrain.grid
         self._has_original = read is not None
-        self._read = read or self._decoded
+        self._read: ReadOriginal = read or terrain.read_with_mask
         self._progress = progress
         self._ruler = QuantaScale(terrain)
         # Kinds that state measured errors and have no bound.
         self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
         self._what = "heights" if read else "decoded heights"
-        self._checks = Checks()
+        self._problems: list[str] = []
+        self._n_problems = 0
         self._lines: dict[tuple[Block, int], BorderLine] = {}
         n_levels = terrain.n_levels
         self._n_blocks, self._n_triangles = [0] * n_levels, [0] * n_levels
@@ -169,11 +135,16 @@ class MeshVerification:
             for level in range(terrain.n_levels if has_stored else 0)
         )
         against = "original" if self._has_original else "decoded"
-        return MeshReport(terrain.mesh_kind, against, levels, areas), self._checks.all()
+        if self._n_problems > _MAX_LISTED:
+            n_more = self._n_problems - _MAX_LISTED
+            self._problems.append(f"… and {n_more} more problems of meshes")
+        return MeshReport(terrain.mesh_kind, against, levels, areas), self._problems
 
-    def _decoded(self, region: Region) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
-        raw, valid = self._terrain.read_with_mask(region)
-        return raw, valid
+    def _add(self, where: str, problems: Iterable[str]) -> None:
+        for problem in problems:
+            self._n_problems += 1
+            if self._n_problems <= _MAX_LISTED:
+                self._problems.append(f"{where}: {problem}")
 
     def _report(self, n_samples: int) -> None:
         self._n_done += n_samples
@@ -183,17 +154,15 @@ class MeshVerification:
                 Progress("verify meshes", self._n_done, self._n_total, self._n_done * itemsize)
             )
 
-    # Stored meshes
-
     def _visit(self, block: Block, chain: list[_Stated]) -> None:
         where = f"mesh of block {tuple(block)}"
         try:
             surface = block_surface(self._terrain, block)
-            self._checks.add(where, block_problems(self._terrain, block, surface))
+            self._add(where, block_problems(self._terrain, block, surface))
             self._check_lines(block, surface)
             stated = self._terrain.mesh_error(block)
         except TerrainwaveError as error:
-            self._checks.add(where, [str(error)])
+            self._add(where, [str(error)])
             return
         self._stored[block.level] = max(self._stored[block.level], stated)
         self._n_blocks[block.level] += 1
@@ -207,7 +176,7 @@ class MeshVerification:
             try:
                 self._measure(region, chain)
             except CorruptStreamError as error:
-                self._checks.add(where, [str(error)])
+                self._add(where, [str(error)])
             self._report(region.n_rows * region.n_cols)
 
     def _measure(self, region: Region, chain: list[_Stated]) -> None:
@@ -225,17 +194,16 @@ class MeshVerification:
             )
             self._measured[block.level] = max(self._measured[block.level], errors.worst)
             where = f"mesh of block {tuple(block)}"
-            self._checks.add(where, error_problems(self._ruler, errors, stored, region, self._what))
+            self._add(where, error_problems(self._ruler, errors, stored, region, self._what))
             # Coarse meshes lie over all valid samples below them.
             wanted = must_be_covered(valid) if block.level == self._grid.k_max else valid
             if min(valid.shape) > 1:
-                self._checks.add(where, missing_samples(errors, wanted, region))
+                self._add(where, missing_samples(errors, wanted, region))
             if block.level == self._grid.k_max and not self._is_unbounded:
-                self._checks.add(where, self._tolerance_problems(surface, region))
+                self._add(where, self._tolerance_problems(surface, region))
 
     def _tolerance_problems(self, surface: CheckedMesh, region: Region) -> Iterator[str]:
-        """Check a finest mesh against the decoded heights that it is made from."""
-        raw, valid = self._decoded(region)
+        raw, valid = self._terrain.read_with_mask(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
         errors = deviation(
             surface,
@@ -248,7 +216,6 @@ class MeshVerification:
         )
 
     def _check_lines(self, block: Block, surface: CheckedMesh) -> None:
-        """Compare borders with earlier neighbours; keep those for later ones."""
         grid = self._grid
         mask_shape = block_mask(self._terrain, block).shape
         for axis, (down, right) in enumerate(((1, 0), (0, 1))):
@@ -266,9 +233,7 @@ class MeshVerification:
                     self._lines[upper, axis] = line
                 else:
                     where = f"meshes of blocks {tuple(block)} and {tuple(other)}"
-                    self._checks.add(where, line_problems(kept, line))
-
-    # Meshes of areas
+                    self._add(where, line_problems(kept, line))
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
@@ -298,11 +263,11 @@ class MeshVerification:
                     terrain, mesh, region, max_error, self._read if self._has_original else None
                 )
             except TerrainwaveError as error:
-                self._checks.add(where, [str(error)])
+                self._add(where, [str(error)])
                 continue
             finally:
                 self._report(region.n_rows * region.n_cols)
-            self._checks.add(where, problems)
+            self._add(where, problems)
             n_triangles += mesh.n_triangles
             stated, measured = max(stated, mesh.error), max(measured, worst)
         return AreaMeshes(max_error, optimise, n_windows, n_triangles, stated, measured)

@@ -1,7 +1,7 @@
 """A file's meshes as surfaces on its grids, and the required cover by its samples."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.verification.checked_mesh import CheckedMesh
-from terrainwave.verification.checks import boundary_edges, problems_of
-from terrainwave.verification.pieces import NOTHING, pieces_of_mask, refined_pieces
+from terrainwave.verification.checks import (
+    NOTHING,
+    CheckedMesh,
+    Deviation,
+    boundary_edges,
+    deviation,
+    pieces_of_mask,
+    problems_of,
+    refined_pieces,
+)
 
 SIXTEENTHS = 16
 # Relative tolerance for decimal errors as float64.
@@ -29,7 +36,6 @@ class QuantaScale:
         self._is_grid = header.rho == 0
         self._is_integer = np.dtype(terrain.dtype).kind in "iu"
         self._scale, self._offset = float(info.scale), float(info.offset)
-        # One quantum in physical units.
         self.quantum = float(info.quantum)
         # Heights off the grid are rounded to 1/16 quanta here.
         self.slack = 0 if self._is_grid else 1
@@ -39,8 +45,8 @@ class QuantaScale:
     def _of_decoded(self, header: Any) -> int:
         """Return the largest distance of decoded heights off the grid from their quanta.
 
-        It is half a float's spacing, the excess of `rho` over half a quantum; with remainders all
-        of `rho`.
+        Half a float's spacing, the excess of `rho` over half a quantum; with remainders all of
+        `rho`.
         """
         rounded = Fraction(header.rho) / header.quantum
         if not header.has_remainders:
@@ -62,7 +68,6 @@ class QuantaScale:
         return heights
 
     def of_physical(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return physical heights, scale and offset applied, in 1/16 quanta; not rounded."""
         raw = (heights - self._offset) / self._scale
         return (raw * self._denominator / self._numerator - self._base) * SIXTEENTHS
 
@@ -73,11 +78,7 @@ class QuantaScale:
         return float(near) if abs(exact - near) <= _SLACK * max(near, 1) else exact
 
     def physical(self, sixteenths: float) -> float:
-        """Return an error of 1/16 quanta in physical units."""
         return sixteenths / SIXTEENTHS * self.quantum
-
-
-# One block
 
 
 def block_surface(terrain: Any, block: Block) -> CheckedMesh:
@@ -89,10 +90,7 @@ def block_surface(terrain: Any, block: Block) -> CheckedMesh:
 
 
 def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
-    """Return the validity of a block's samples, including those past the raster's edge.
-
-    Samples of coarse levels may lie there; they are valid if the last ones inside are.
-    """
+    """Return the validity of a block's samples; past the raster's edge that of the last inside."""
     grid = terrain.grid
     region = grid.block_region(block)
     _, mask = terrain.read_with_mask(region, level=block.level, voids="any")
@@ -103,7 +101,6 @@ def block_mask(terrain: Any, block: Block) -> NDArray[np.bool_]:
 
 
 def block_problems(terrain: Any, block: Block, surface: CheckedMesh) -> Iterator[str]:
-    """Check that a block's mesh covers the span of its samples once."""
     mask = block_mask(terrain, block)
     if min(mask.shape) < 2:
         if len(surface.triangles):
@@ -121,7 +118,6 @@ class BorderLine(NamedTuple):
 
 
 def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
-    """Return the line at row (`axis` 0) or column (1) `at`, in half samples."""
     across, along = (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
     on = np.flatnonzero(across == at)
     order = on[np.argsort(along[on], kind="stable")]
@@ -133,8 +129,7 @@ def border_line(surface: CheckedMesh, axis: int, at: int) -> BorderLine:
 def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
     """Check that two meshes leave no gap along their common line.
 
-    Vertices at one position have one height, and none lies inside an edge of the other mesh. Where
-    a void touches the line, vertices of only one of the two are allowed.
+    Vertices at one position have one height, and none lies inside an edge of the other mesh.
     """
     _, here, there = np.intersect1d(one.places, other.places, return_indices=True)
     n_apart = np.count_nonzero(one.heights[here] != other.heights[there])
@@ -151,14 +146,8 @@ def line_problems(one: BorderLine, other: BorderLine) -> Iterator[str]:
         yield f"{n_inside} vertices of a shared border lie inside an edge of the neighbour"
 
 
-# A mesh of an area
-
-
 def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> CheckedMesh:
-    """Return a `Mesh` in half samples of the full grid, from the first sample of `region`.
-
-    Integers if all vertices lie on half samples, else floats, as in a clipped mesh.
-    """
+    """Return a `Mesh` in half samples of the full grid: integers if all vertices lie on them."""
     transform = terrain.raster_info.transform
     # Relative to the origin's pixel centre: vertices are near it, so no precision is lost.
     centre_row, centre_col = places_to_samples(transform, *mesh.origin[:2])
@@ -203,10 +192,9 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
 
 
 def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) -> Iterator[str]:
-    """Check a `Mesh` over `region` of the full grid as a surface.
+    """Check a `Mesh` over `region` of the full grid, with blocks of one `level` or of several.
 
-    `level` is that of all its blocks. None if they may be of several: it must then cover at least
-    the span of the full grid's samples, and coarser blocks may cover more.
+    Of several, it must cover at least the span of the full grid's samples.
     """
     surface = surface_of_mesh(terrain, mesh, region)
     shape = region.n_rows, region.n_cols
@@ -231,3 +219,68 @@ def must_be_covered(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
             covered[rows, cols] |= has
     covered &= valid
     return covered
+
+
+_STRIP_SAMPLES = 1 << 24
+
+ReadOriginal = Callable[[Region], tuple[NDArray[np.generic], NDArray[np.bool_]]]
+
+
+def area_problems(
+    terrain: Any,
+    mesh: Any,
+    region: Region,
+    max_error: float | None,
+    read: ReadOriginal | None = None,
+) -> tuple[list[str], float]:
+    """Return the problems of a `Mesh` of `region`, and the largest distance of samples from it.
+
+    `max_error` is None for the stored meshes. Without `read`, errors are measured from the decoded
+    heights, and may exceed the stated ones by the file's own bound.
+    """
+    ruler, problems, worst = QuantaScale(terrain), [], 0
+    if max_error is not None and mesh.error > max_error * (1 + _SLACK):
+        problems.append(f"it states an error of {mesh.error:g}")
+    level = terrain.n_levels - 1 if max_error is None else None
+    problems += mesh_problems(terrain, mesh, region, level)
+    surface, stated = surface_of_mesh(terrain, mesh, region), ruler.in_sixteenths(mesh.error)
+    limit = stated * (1 + _SLACK) + ruler.slack + (0 if read else ruler.coded)
+    for strip in region.tiles(max(_STRIP_SAMPLES // region.n_cols, 2), region.n_cols):
+        # One more row at the end: quads are covered between rows.
+        last = min(strip.row + strip.n_rows + 1, region.row + region.n_rows)
+        strip = strip._replace(n_rows=last - strip.row)
+        raw, valid = (read or terrain.read_with_mask)(strip)
+        place = strip.row - region.row, 0
+        errors = deviation(surface, ruler.sixteenths(raw, valid), valid, limit, place)
+        what = "heights" if read else "decoded heights"
+        problems += error_problems(ruler, errors, stated, strip, what)
+        problems += missing_samples(errors, must_be_covered(valid), strip)
+        worst = max(worst, errors.worst)
+    return problems, ruler.physical(worst)
+
+
+def error_problems(
+    ruler: QuantaScale,
+    errors: Deviation,
+    most: float,
+    region: Region,
+    what: str,
+    of: str = "stated error",
+) -> Iterator[str]:
+    if errors.n_beyond:
+        yield (
+            f"{errors.n_beyond} {what} are further from it than the {of}"
+            f" {ruler.physical(most):g}; the worst, at row"
+            f" {region.row + errors.row}, column {region.col + errors.col}, by"
+            f" {ruler.physical(errors.worst):g}"
+        )
+
+
+def missing_samples(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
+    missing = wanted & ~errors.is_covered
+    if missing.any():
+        row, col = np.argwhere(missing)[0].tolist()
+        yield (
+            f"{np.count_nonzero(missing)} valid samples are not covered, one at row"
+            f" {region.row + row}, column {region.col + col}"
+        )

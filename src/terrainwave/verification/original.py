@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import rasterio
+from rasterio.crs import CRS
 from rasterio.enums import MaskFlags
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
@@ -19,13 +19,14 @@ from terrainwave.arguments import nodata_choice
 from terrainwave.errors import StorageError
 from terrainwave.grid.affine import determinant, places_to_pixels
 from terrainwave.grid.quadtree import Region
-from terrainwave.place.crs import format_crs
+from terrainwave.place.crs import format_crs, parse_crs
 from terrainwave.place.meaning import Told, by_numbers
-from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem
-from terrainwave.raster_io.dataset import DatasetBackend, told_of
+from terrainwave.place.units import HeightUnit, height_unit, in_metres, kind_problem, meeting
+from terrainwave.raster_io.dataset import DatasetBackend, is_placed, told_of
 from terrainwave.raster_io.even import Even, even_parts, is_seen
+from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.mosaic import ORIENTATIONS, Orientation
-from terrainwave.raster_io.vrt.copied import unreported
+from terrainwave.raster_io.vrt import unreported
 
 # Samples per window, and its height if the original is striped: with windows of few rows the
 # decoder would decode the same blocks again and again.
@@ -40,18 +41,13 @@ _SAME_PLACE = 1e-3
 # Indices of a transform's numbers for size and direction of pixels.
 _LINEAR = (0, 1, 3, 4)
 
-_GDAL_CACHE_BYTES = 64 * 2**20
-
 
 class Original:
     """A band of a rasterio dataset; `nodata` and `heights_are` as in `compress`.
 
-    Rows and columns are read in the order of `transform`, a file's, even if the dataset stores them
-    in the opposite order, such as with the southernmost row first.
-
-    With `whole`, the shape of the file, the dataset may cover only a part of it: `place` is that
-    part, or None if the dataset does not lie on the file's grid or extends beyond the file. Regions
-    to read are the file's.
+    Rows and columns are read in the order of `transform`, a file's. With `whole`, the shape of the
+    file, the dataset may cover only a part of it: `place` is that part, or None if the dataset does
+    not lie on the file's grid or extends beyond the file. Regions to read are the file's.
     """
 
     def __init__(
@@ -93,10 +89,6 @@ class Original:
         return height_unit(units, format_crs(self.dataset.crs))
 
     def kind_problem(self, terrain: Any) -> str | None:
-        """Return the problem if it and the file have two of heights, depths and radii.
-
-        Reads on while all numbers may be radii.
-        """
         crs_text, is_asked = format_crs(self.dataset.crs), self._asked_kind is not None
         told: Told | None = Told(self._asked_kind, "`heights_are`")
         if not is_asked:
@@ -108,7 +100,6 @@ class Original:
         return kind_problem(own, (told, crs_text))
 
     def _metres(self, crs_text: str | None) -> Iterator[tuple[float, float]]:
-        """Yield the ends of valid numbers of windows in metres, or NaN."""
         index = self.band - 1
         offset, units = float(self.dataset.offsets[index]), self.dataset.units[index]
         for window, even in self.windows():
@@ -123,15 +114,13 @@ class Original:
         return unreported(self.dataset, self.band).coordinate_epoch if self.dataset.crs else None
 
     def area_or_point(self) -> str:
-        """Return GDAL's tag; Area is its default."""
         return str(self.dataset.tags().get("AREA_OR_POINT", "Area"))
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return raw heights and validity of a window of the file."""
         row, col = self._stored(Region(row, col, n_rows, n_cols))[:2]
         window = Window(col, row, n_cols, n_rows)
         try:
-            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
+            with bounded_env():
                 heights = self.dataset.read(self.band, window=window)
                 valid = ~self._is_void(heights)
                 if self._has_mask:
@@ -147,14 +136,12 @@ class Original:
         return self.turn.of_array(heights), self.turn.of_array(valid)
 
     def _stored(self, region: Region) -> Region:
-        """Return the region of the dataset, in its own order, for a region of the file."""
         if self.place is not None:
             row, col = region.row - self.place.row, region.col - self.place.col
             region = region._replace(row=row, col=col)
         return self.turn.before(region, self.shape)
 
     def _is_void(self, heights: np.ndarray) -> np.ndarray:
-        """Return which heights equal a value that marks voids."""
         found = (self.equals(heights, value) for value in self._voids)
         return np.logical_or.reduce(list(found))
 
@@ -170,10 +157,7 @@ class Original:
         return heights == self.dtype.type(int(nodata))
 
     def windows(self) -> Iterator[tuple[Region, Even | None]]:
-        """Yield windows that suit both sides: squares for tiles, wide strips for strips.
-
-        Larger windows have equal samples by the index, confirmed by `holds`.
-        """
+        """Yield windows that suit both sides; larger ones are even, confirmed by `holds`."""
         if self.place is None:
             return
         for part, even in even_parts(self.place, self.side, self._even):
@@ -184,13 +168,11 @@ class Original:
 
     @property
     def side(self) -> int:
-        """Return the side of the smallest windows for which the index is used."""
         rows, cols = self.window_shape
         return -(-max(rows, cols) // rows) * rows
 
     @property
     def window_shape(self) -> tuple[int, int]:
-        """Return rows and columns of windows."""
         n_cols = self.shape[1]
         if self.dataset.block_shapes[self.band - 1][1] < n_cols:
             return _WINDOW_SIDE, _WINDOW_SIDE
@@ -202,7 +184,6 @@ class Original:
         return is_seen(self.read, region, even)
 
     def _even(self, region: Region) -> Even | None:
-        """Return the content of a region by the file's index."""
         even = None if self._alphas else self._index.even(self._stored(region))
         if even is None:
             return None
@@ -254,11 +235,108 @@ def _place(
 
 
 def place_text(row: int, col: int, n_rows: int, n_cols: int) -> str:
-    """Describe a window."""
     return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
 
 
 def as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
-    """Return the float that means `nodata` in a file of `dtype`."""
     with np.errstate(over="ignore", under="ignore"):
         return np.float64(nodata).astype(dtype)
+
+
+# Metadata that the raster of a part need not share with the file.
+_OF_WHOLE = ("size", "description", "AREA_OR_POINT")
+
+
+def metadata_problems(terrain: Any, original: Original, *, part: bool = False) -> Iterator[str]:
+    """Yield differences of metadata; for the raster of a `part`, of those that affect heights."""
+    dataset, index = original.dataset, original.band - 1
+    info = terrain.info()
+    if terrain.effective_error > terrain.max_error * (1 + 1e-12):
+        yield (
+            f"the file states an effective error of {terrain.effective_error}, above the"
+            f" {terrain.max_error} it was asked for"
+        )
+    pairs = [
+        ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
+        ("type", np.dtype(terrain.dtype).name, original.dtype.name),
+        ("scale", float(info.scale), original.scale),
+        ("offset", float(info.offset), float(dataset.offsets[index])),
+        ("description", info.description or None, dataset.descriptions[index] or None),
+        # Area is GDAL's default, and is not stored in a GeoTIFF without georeference.
+        ("AREA_OR_POINT", info.area_or_point or "Area", original.area_or_point()),
+    ]
+    unit, own_unit = original.unit().name, info.units or None
+    problem = unit_problem(terrain, original)
+    if problem:
+        yield problem
+    elif (own_unit is None) != (unit is None) and not part:
+        yield f"units is {own_unit!r}, the original's is {unit!r}"
+    for name, found, expected in pairs:
+        if found != expected and not (part and name in _OF_WHOLE):
+            hint = " (with `part` only what it covers is compared)" if name == "size" else ""
+            hint = hint if np.less_equal(original.shape, terrain.shape).all() else ""
+            yield f"{name} is {found!r}, the original's is {expected!r}{hint}"
+    other_kind = original.kind_problem(terrain)
+    if other_kind is not None:
+        yield f"the original's numbers mean something else: {other_kind}"
+    if part:
+        if (dataset.crs or None) != terrain.raster_info.rasterio_crs():
+            found = dataset.crs or "missing"
+            yield f"the CRS is {terrain.crs or 'missing'}, the original's is {found}"
+        return
+    if not _same_nodata(terrain.nodata, original.nodata, original.dtype):
+        yield f"nodata is {terrain.nodata!r}, the original's is {original.nodata!r}"
+    found, expected = tuple(terrain.transform)[:6], original.transform
+    if found != expected:
+        yield f"the transform is {found}, the original's is {expected}"
+    # Without georeference a file keeps no CRS.
+    if terrain.crs or is_placed(dataset):
+        epoch, expected_epoch = info.coordinate_epoch, original.coordinate_epoch()
+        if epoch != expected_epoch:
+            yield f"the coordinate epoch is {epoch}, the original's is {expected_epoch}"
+        yield from _compare_crs(terrain.crs, dataset.crs)
+
+
+def place_problem(terrain: Any, original: Original) -> str:
+    if original.place is not None:
+        return ""
+    n_rows, n_cols = original.shape
+    return (
+        f"the original does not lie on the file's grid, or reaches beyond the file: found {n_rows}"
+        f" x {n_cols} samples with the transform {original.transform}, expected a part of"
+        f" {terrain.shape[0]} x {terrain.shape[1]} with {tuple(terrain.transform)[:6]}, moved by"
+        " whole pixels"
+    )
+
+
+def unit_problem(terrain: Any, original: Original) -> str:
+    unit = height_unit(terrain.info().units, terrain.crs)
+    return meeting("the original", original.unit(), "the file", unit).problem
+
+
+def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
+    if expected is not None and dtype.kind != "f":
+        limits = np.iinfo(dtype)
+        # No sample can equal such a value, so the file has none.
+        if not (math.isfinite(expected) and limits.min <= expected <= limits.max):
+            expected = None
+        elif expected != int(expected):
+            expected = None
+    if nodata is None or expected is None:
+        return nodata is None and expected is None
+    if math.isnan(nodata) or math.isnan(expected):
+        return math.isnan(nodata) and math.isnan(expected)
+    return bool(as_stored(nodata, dtype) == as_stored(expected, dtype))
+
+
+def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:
+    if not crs or not expected:
+        if bool(crs) != bool(expected):
+            yield f"the CRS is {crs or 'missing'}, the original's is {expected or 'missing'}"
+        return
+    # Compared by WKT: rasterio's == equates systems whose ellipsoids differ in late digits. A
+    # string is from the file, hence parse_crs: rasterio would follow a URL in it.
+    crs = parse_crs(crs) if isinstance(crs, str) else crs
+    if crs is None or crs.to_wkt() != expected.to_wkt():
+        crs_text = "not understood" if crs is None else crs.to_wkt()
+        yield f"the CRS is {crs_text}, the original's is {expected.to_wkt()}"

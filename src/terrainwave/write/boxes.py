@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
-from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.page import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.codes import unmeasured_codes
@@ -103,7 +103,7 @@ def set_codes(
     for spool in spools:
         before: dict[Block, Box] = defaultdict(lambda: whole)
         after: dict[Block, Box] = defaultdict(lambda: whole)
-        for key in sorted(spool.keys()):
+        for key in sorted(spool.payloads):
             was_outer, outer = before[key], after[key]
             codes = bytearray()
             for block in grid.key_blocks(key):
@@ -119,7 +119,7 @@ def set_codes(
                 new = (*ends, errors.get(block, 0), mesh_errors.get(block, 0))
                 is_any_new |= new != known
                 codes += bytes(4 if box is None and old is None else new)
-            spool.set_codes(key, bytes(codes))
+            spool.codes[key] = bytes(codes)
     return is_any_new
 
 

@@ -22,7 +22,7 @@ from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.depot import Depot
 from terrainwave.container.digests import TILE, TileDigests
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import StorageError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan

@@ -26,18 +26,17 @@ from terrainwave.arguments import (
 from terrainwave.codec.method_options import MethodOptions
 from terrainwave.container.sources.addresses import display_name
 from terrainwave.container.targets.publication import (
+    only_writer,
     publish,
     refuse_own_source,
     system_scratch,
 )
-from terrainwave.container.targets.unfinished import only_writer
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.crew import Crew
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.dataset import refuse_raster
-from terrainwave.raster_io.files import stamps_of
+from terrainwave.raster_io.dataset import refuse_raster, stamps_of
 from terrainwave.raster_io.temporary import MEMORY_LIMIT
 from terrainwave.raster_io.undeclared_voids import note_on_marks, note_on_undeclared
 from terrainwave.tri.mesh_options import MeshOptions

@@ -22,8 +22,7 @@ from terrainwave.grid.quantum import as_fraction, rounded_up
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.place.crs import format_crs
 from terrainwave.place.units import height_unit, meeting
-from terrainwave.raster_io.earlier_loss import EarlierFile, earlier_files
-from terrainwave.raster_io.raster_info import RasterInfo
+from terrainwave.raster_io.raster_info import EarlierFile, RasterInfo, earlier_files
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress_options import Options
 

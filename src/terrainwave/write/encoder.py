@@ -26,7 +26,7 @@ from terrainwave.codec.refiner import (
 )
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.unit_specs import block_of_unit, unit_spec
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.writer import SpoolSink
 from terrainwave.grid.block_stats import (
     BlockStats,
     distance_of_children,

@@ -35,8 +35,7 @@ from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.codes import mesh_tolerance
 from terrainwave.names import BOTH, Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
-from terrainwave.raster_io.earlier_loss import NO_LOSS, EarlierLoss
-from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
+from terrainwave.raster_io.raster_info import NO_LOSS, EarlierLoss, RasterInfo, stored_nodata
 from terrainwave.write.compress_options import Options
 from terrainwave.write.earlier import NOTHING, Earlier
 

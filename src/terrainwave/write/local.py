@@ -13,8 +13,8 @@ from terrainwave.codec.refiner import Decoded, Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.digests import TileDigests
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.container.spool_sink import SpoolSink
 from terrainwave.container.targets.kept import Kept
+from terrainwave.container.writer import SpoolSink
 from terrainwave.grid.quadtree import Block
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps

@@ -14,10 +14,13 @@ from terrainwave.arguments import TWZ_ENDINGS, check_ending, checked_error, chec
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import page_layout
-from terrainwave.container.spool_sink import SpoolSink
-from terrainwave.container.targets.publication import publish, refuse_own_source, scratch_directory
-from terrainwave.container.targets.unfinished import only_writer
-from terrainwave.container.writer import append_digests, assemble
+from terrainwave.container.targets.publication import (
+    only_writer,
+    publish,
+    refuse_own_source,
+    scratch_directory,
+)
+from terrainwave.container.writer import SpoolSink, append_digests, assemble
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
@@ -122,10 +125,10 @@ def store_meshes(
             sink(key, container.payload(key))
         sink.set_meshes(sections)
         for spool in sink.present():
-            for key in spool.keys():
+            for key in spool.payloads:
                 blocks = grid.key_blocks(key)
                 own = ([*container.codes(one)[:3], codes.get(one, 0)] for one in blocks)
-                spool.set_codes(key, b"".join(map(bytes, own)))
+                spool.codes[key] = b"".join(map(bytes, own))
         extents = assemble(part.file, header, sink.spools)
         digests = container.digests()
         if digests is not None:  # digests of heights, which do not change

@@ -8,7 +8,7 @@ from terrainwave.container.metadata import EARLIER, ORIGIN, without_origin
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.earlier_loss import earlier_files
+from terrainwave.raster_io.raster_info import earlier_files
 from terrainwave.write.compress_options import Options
 from terrainwave.write.job import metadata_of, origin_of, settled
 from terrainwave.write.passes.bench import AskedRaster

@@ -21,8 +21,7 @@ from typing import Any
 
 from terrainwave.arguments import check_flags, check_local, checked_path, checked_threads
 from terrainwave.container.header import Header
-from terrainwave.container.targets.publication import publish, refuse_own_source
-from terrainwave.container.targets.unfinished import only_writer
+from terrainwave.container.targets.publication import only_writer, publish, refuse_own_source
 from terrainwave.container.writer import append_digests, assemble
 from terrainwave.errors import (
     InvalidHeightsError,
@@ -32,7 +31,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.crew import Crew
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.geotiff.sidecar import forget_measured
+from terrainwave.raster_io.geotiff.sink import forget_measured
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.undeclared_voids import note_on_undeclared
 from terrainwave.write.passes.bench import Bench

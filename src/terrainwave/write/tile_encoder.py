@@ -22,7 +22,7 @@ from terrainwave.codec.cdf53.refiner import (
 from terrainwave.codec.cdf53.tile_layout import TileLayout, TileSpec
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Validity
 from terrainwave.container.spool import SectionFile, SegmentSpool
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region

@@ -17,7 +17,6 @@ from terrainwave.cli.commands import (
     serve,
     tiles,
     verify,
-    view,
     warmup,
 )
 from terrainwave.cli.output import Commands
@@ -41,7 +40,7 @@ for _command in (
     doctor.doctor,
     demo.demo,
     render.render,
-    view.view,
+    render.view,
     serve.serve,
     publish.publish,
     publish.site,

@@ -6,19 +6,21 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS
-from terrainwave.cli.batch import Done, FileJob, refuse_options_of_batches, run_to
-from terrainwave.cli.manifest import Manifest
+from terrainwave.cli.batch import Done, FileJob, Manifest, refuse_options_of_batches, run_to
 from terrainwave.cli.options import (
+    CommandWithOwnOptions,
     Input,
     OfKind,
     Target,
     batched,
     complete_files,
     declared,
+    on_command_line,
+    own_option,
     resumable,
+    with_own_options,
     writing,
 )
 from terrainwave.cli.output import (
@@ -30,11 +32,6 @@ from terrainwave.cli.output import (
     print_note,
     print_notes,
     unit_behind,
-)
-from terrainwave.cli.own_options import (
-    CommandWithOwnOptions,
-    own_option,
-    with_own_options,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.container.sources.addresses import display_name
@@ -101,8 +98,7 @@ def compress(
     """
     refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     if no_mesh:
-        mesh_from = click.get_current_context().get_parameter_source("mesh")
-        if mesh_from is ParameterSource.COMMANDLINE and options["mesh"] != "none":
+        if "mesh" in on_command_line() and options["mesh"] != "none":
             raise click.UsageError("found --no-mesh and --mesh, expected one of them")
         options["mesh"] = "none"
     options = with_own_options(own, options)
@@ -155,7 +151,6 @@ def _compress_each(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make a file of each raster, in a directory."""
     import terrainwave
     from terrainwave.write.job import NO_BOUND
 
@@ -185,7 +180,6 @@ def _compress_each(
     )  # fmt: skip
 
 
-# Options of the source.
 _OF_SOURCE = ("nodata", "band", "georeference", "heights_are")
 
 
@@ -194,8 +188,7 @@ def _asked(options: dict[str, Any]) -> Options:
 
 
 def _manifest(directory: str, options: dict[str, Any]) -> Manifest:
-    """Return the manifest of a batch, which finds the files that are up to date."""
-    from terrainwave.raster_io.files import files_of
+    from terrainwave.raster_io.dataset import files_of
     from terrainwave.write.origin import difference
 
     of_files = {name: options[name] for name in options.keys() & {*Options.names(), *_OF_SOURCE}}

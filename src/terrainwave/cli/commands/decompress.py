@@ -17,14 +17,14 @@ from terrainwave.arguments import (
     one_of,
 )
 from terrainwave.cli.batch import (
+    UNKNOWN,
     Done,
     FileJob,
+    Manifest,
     refuse_options_of_batches,
     refuse_unknown_raster,
     run_to,
 )
-from terrainwave.cli.descriptors import without_lines_of_libtiff
-from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     LEVEL_OPTION,
     POSITIVE,
@@ -46,7 +46,7 @@ from terrainwave.cli.output import (
     print_note,
     reading,
 )
-from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, without_lines_of_libtiff, written
 from terrainwave.names import methods_that
 from terrainwave.option_sets import BOUNDS, TILE_SIZE, WINDOW
 from terrainwave.progress import ProgressCallback
@@ -114,22 +114,35 @@ def decompress(paths: tuple[str, ...], to: str | None, skip_existing: bool, **op
 
 
 def _decompress(source: str, target: str, *, as_json: bool, quiet: bool, **options: Any) -> None:
-    import terrainwave
-
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     (_check_options_of_tile if is_tile else _check_options_of_geotiff)(target, options)
     announce_compiling(quiet=quiet)
-    with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
-        lost: list[Losses] = []
-        terrainwave.decompress(source, path, progress=bar, on_lost=lost.append, **options)
-        n_bytes = Path(path).stat().st_size
+    with Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+        made = _made(source, path, bar, options)
         if target == STREAM and Path(f"{path}.aux.xml").exists():
             print_note("the GeoTIFF alone cannot hold the CRS: write to a file instead of stdout")
     with printing_beside(target):
         if as_json:
-            print_json({"path": target, "n_bytes": n_bytes} | _in_json(lost, options))
+            print_json(made | {"path": target})
         elif not quiet:
-            click.echo(f"{plain(target)}: {n_bytes:,} bytes")
+            click.echo(f"{plain(target)}: {made['n_bytes']:,} bytes")
+
+
+def _made(
+    source: str, target: str, progress: ProgressCallback, options: dict[str, Any]
+) -> dict[str, Any]:
+    """Decompress a file; return the fields of the result, with losses if they are no error."""
+    import terrainwave
+
+    lost: list[Losses] = []
+    with reading(source):
+        path = terrainwave.decompress(
+            source, target, progress=progress, on_lost=lost.append, **options
+        )
+    made = {"path": path, "n_bytes": Path(path).stat().st_size}
+    if options["on_error"] == RAISE:
+        return made
+    return made | {"lost": lost[0].to_dict() if lost else None}
 
 
 def _decompress_each(
@@ -141,34 +154,18 @@ def _decompress_each(
     quiet: bool,
     **options: Any,
 ) -> None:
-    import terrainwave
-
     if skips:
         options["overwrite"] = True
 
     def decompress_one(job: FileJob, threads: int, progress: ProgressCallback) -> Done:
-        lost: list[Losses] = []
-        with reading(job.source):
-            path = terrainwave.decompress(
-                job.source, str(job.target), progress=progress, on_lost=lost.append,
-                **options | {"threads": threads},
-            )  # fmt: skip
-        n_bytes = Path(path).stat().st_size
-        fields = {"path": path, "n_bytes": n_bytes} | _in_json(lost, options)
-        return Done(f"{plain(path)}: {n_bytes:,} bytes", fields)
+        made = _made(job.source, str(job.target), progress, options | {"threads": threads})
+        return Done(f"{plain(made['path'])}: {made['n_bytes']:,} bytes", made)
 
     run_to(
         sources, directory, ".tif", decompress_one, "decompressed", endings=TWZ_ENDINGS,
         manifest=_manifest(directory, options, skips=skips),
         threads=options["threads"], as_json=as_json, quiet=quiet,
     )  # fmt: skip
-
-
-def _in_json(lost: list["Losses"], options: dict[str, Any]) -> dict[str, Any]:
-    """Return the losses if damage is not an error."""
-    if options["on_error"] == RAISE:
-        return {}
-    return {"lost": lost[0].to_dict() if lost else None}
 
 
 def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
@@ -188,7 +185,6 @@ def _source_and_target(paths: tuple[str, ...]) -> tuple[str, str]:
 
 
 def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
-    """Raise for options of height tiles."""
     if options["size"]:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     voids = options["voids"]
@@ -202,7 +198,6 @@ def _check_options_of_geotiff(target: str, options: dict[str, Any]) -> None:
 
 
 def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
-    """Raise for options of GeoTIFFs."""
     if options["vertical"] != AS_IS:
         raise click.UsageError(
             f"{target}: found --vertical {options['vertical']}, expected none: a height tile keeps"
@@ -215,7 +210,6 @@ def _check_options_of_tile(target: str, options: dict[str, Any]) -> None:
 
 
 def _manifest(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
-    """Return the manifest of a batch, which finds the rasters that are up to date."""
     unrelated = ("overwrite", "threads")
 
     def compare(_: str, target: str, known: str, __: ProgressCallback) -> str:

@@ -1,7 +1,7 @@
 """Command info: contents of a .twz file."""
 
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import asdict
+from typing import Any
 
 import click
 
@@ -57,62 +57,49 @@ def info(file: str, as_json: bool, stac: bool, threads: int | None, **more: Any)
             print_json(stac_item(terrain), with_notes=False)
             return
         summary = terrain.info()
-        found = _Found.of(terrain, **more | {"parts": more["parts"] or "://" not in file})
+        found = _found(terrain, **more | {"parts": more["parts"] or "://" not in file})
+    parts, errors, meshes = (found.get(name) for name in ("parts", "errors", "meshes"))
     if as_json:
-        print_json(summary.to_dict() | found.to_dict())
+        fields = {
+            "parts": parts and asdict(parts),
+            "level_errors": errors and errors.heights,
+            "level_mesh_errors": errors and errors.meshes,
+            "n_voids": found.get("n_voids"),
+            "root": found["root"],
+            "meshes": meshes and [level._asdict() for level in meshes],
+        }
+        known = {name: value for name, value in fields.items() if value is not None}
+        print_json(summary.to_dict() | known)
         return
     print_table(_info_rows(summary, found))
-    found.print(summary)
+    if parts is not None:
+        _print_parts(parts)
+    if errors is not None:
+        _print_level_errors(summary.level_shapes, errors)
+    if meshes is not None:
+        _print_mesh_levels(meshes)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Results of options, None if not requested; and the root of the digests, if any."""
+def _found(
+    terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
+) -> dict[str, Any]:
+    """Return the results of options that were given; and the root of the digests, if any."""
+    from terrainwave.mesh.level_errors import level_errors
+    from terrainwave.mesh.statistics import mesh_levels
 
-    parts: Any
-    level_errors: Any
-    n_voids: int | None
-    meshes: Any
-    root: str | None
-
-    @classmethod
-    def of(
-        cls, terrain: Any, *, errors: str | None, voids: bool, parts: bool, meshes: bool
-    ) -> Self:
-        from terrainwave.mesh.level_errors import level_errors
-        from terrainwave.mesh.statistics import mesh_levels
-
-        return cls(
-            parts=terrain.parts() if parts else None,
-            level_errors=None if errors is None else level_errors(terrain, errors),
-            n_voids=terrain.count_voids() if voids else None,
-            meshes=mesh_levels(terrain) if meshes else None,
-            root=terrain.digest(),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        errors = self.level_errors
-        fields = {
-            "parts": None if self.parts is None else asdict(self.parts),
-            "level_errors": None if errors is None else errors.heights,
-            "level_mesh_errors": None if errors is None else errors.meshes,
-            "n_voids": self.n_voids,
-            "root": self.root,
-            "meshes": None if self.meshes is None else [level._asdict() for level in self.meshes],
-        }
-        return {name: value for name, value in fields.items() if value is not None}
-
-    def print(self, summary: Any) -> None:
-        if self.parts is not None:
-            _print_parts(self.parts)
-        if self.level_errors is not None:
-            _print_level_errors(summary.level_shapes, self.level_errors)
-        if self.meshes is not None:
-            _print_mesh_levels(self.meshes)
+    found: dict[str, Any] = {"root": terrain.digest()}
+    if parts:
+        found["parts"] = terrain.parts()
+    if errors is not None:
+        found["errors"] = level_errors(terrain, errors)
+    if voids:
+        found["n_voids"] = terrain.count_voids()
+    if meshes:
+        found["meshes"] = mesh_levels(terrain)
+    return found
 
 
 def files_before(earlier: Any) -> str:
-    """Return the .twz files that heights went through, the last one first."""
     return ", from ".join(
         f"{plain(file['file'])}, within {file['max_error']:.6g} of the original"
         for file in reversed(earlier)
@@ -135,7 +122,6 @@ def _voids_in_words(info: Any, n_voids: int | None) -> str:
 
 
 def _print_parts(parts: Any) -> None:
-    """Print the bytes of each part of a file; levels only if they have bytes of their own."""
     rows = [("header and metadata", parts.metadata), ("tables", parts.tables)]
     rows += [("index", parts.index), ("heights", sum(parts.heights))]
     if len(parts.heights) > 1:
@@ -172,7 +158,7 @@ def _print_level_errors(shapes: Any, errors: Any) -> None:
     print_grid(heads[: 3 + len(columns)], rows)
 
 
-def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
+def _info_rows(info: Any, found: dict[str, Any]) -> list[tuple[str, object]]:
     unit = unit_behind(info.units)
     crs = crs_name(info.crs)
     if crs != info.crs and info.crs:
@@ -207,11 +193,11 @@ def _info_rows(info: Any, found: _Found) -> list[tuple[str, object]]:
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent + _MEANINGS[info.heights_are]),
         ("unit", _unit_in_words(info)),
-        ("voids", _voids_in_words(info, found.n_voids)),
+        ("voids", _voids_in_words(info, found.get("n_voids"))),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
-        ("root of heights", found.root or ""),
+        ("root of heights", found["root"] or ""),
         ("levels", f"{info.n_levels}: {levels}"),
         ("nodata", "none" if info.nodata is None else info.nodata),
         ("CRS", crs),

@@ -11,11 +11,15 @@ from terrainwave.arguments import MOST_LODS, TWZ_ENDINGS, check_ending, count_of
 from terrainwave.cli.options import (
     BOUND,
     LEVEL_OPTION,
+    CommandWithOwnOptions,
     Input,
     OfKind,
     check_one_area,
     complete_files,
     declared,
+    on_command_line,
+    own_option,
+    with_own_options,
     writing,
 )
 from terrainwave.cli.output import (
@@ -28,11 +32,6 @@ from terrainwave.cli.output import (
     reading,
     unit_behind,
     vertical_in_words,
-)
-from terrainwave.cli.own_options import (
-    CommandWithOwnOptions,
-    own_option,
-    with_own_options,
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.shapes import MESH_ENDINGS, TILE, Shape
@@ -117,10 +116,8 @@ _OF_ONE_MESH = {"max_triangles", "level", "loose"}
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @writing
-@click.pass_context
-def mesh(context: click.Context, /, file: str, target: str, stores: bool, **options: Any) -> None:
-    """Write a mesh to a file of its own, or with --store into a .twz."""
-    _refuse_unfit(context, stores=stores, loose=options["loose"], lods=options["lods"])
+def mesh(file: str, target: str, stores: bool, **options: Any) -> None:
+    _refuse_unfit(stores=stores, loose=options["loose"], lods=options["lods"])
     if stores:
         names = _COMMON_OPTIONS | _STORE_OPTIONS
         _store_meshes(file, target, **{name: options[name] for name in names})
@@ -129,13 +126,8 @@ def mesh(context: click.Context, /, file: str, target: str, stores: bool, **opti
         _export_mesh(file, target, **{name: options[name] for name in names})
 
 
-def _refuse_unfit(context: click.Context, *, stores: bool, loose: bool, lods: int | None) -> None:
-    """Raise for options of separate meshes with --store, and the reverse."""
-    given = {
-        name
-        for name in context.params
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    } - {"file", "target", "stores"}
+def _refuse_unfit(*, stores: bool, loose: bool, lods: int | None) -> None:
+    given = on_command_line() - {"file", "target", "stores"}
     unfit = given - _COMMON_OPTIONS - _STORE_OPTIONS if stores else given & _STORE_OPTIONS
     if unfit:
         expected = "expected none of them: they are for a mesh in a file of its own"
@@ -249,7 +241,6 @@ def _export_mesh(
 
 
 def _check_shape(target: str, shape: dict[str, Any]) -> None:
-    """Raise for options that conflict with others or with the format; reads no file."""
     from terrainwave.export.mesh_files import check_extension, check_shape
 
     try:

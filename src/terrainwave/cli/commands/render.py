@@ -2,25 +2,84 @@
 
 import json
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import PICTURE_ENDINGS, count_of
-from terrainwave.cli.drawing import (
-    announce_preparation,
-    drawing,
-    note_dry_land,
-    style_of,
-    suggest_exaggeration,
+from terrainwave.cli.options import Input, Target, add_options, declared, on_command_line
+from terrainwave.cli.output import (
+    Bar,
+    Command,
+    CommandWithoutTarget,
+    announce_compiling,
+    plain,
+    print_note,
+    reading,
 )
-from terrainwave.cli.options import Input, Target
-from terrainwave.cli.output import Bar, Command, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.extras import with_extra
+from terrainwave.render import DEFAULT_MAX_BYTES
+from terrainwave.render.look.colorings import AUTO
+from terrainwave.render.look.style import Style
+from terrainwave.render.window.view_options import ViewOptions
+
+# Metres: lower land is worth a note.
+_SEEN_DEPTH = -1.0
+
+
+def drawing(command: Callable[..., Any]) -> Callable[..., Any]:
+    return add_options(
+        command,
+        click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
+                     show_default=True, help="Threads that read and decode."),
+        click.option("--memory", type=click.IntRange(min=64), default=DEFAULT_MAX_BYTES >> 20,
+                     show_default=True, help="Memory to use on the GPU, in MiB."),
+        declared(Style),
+        declared(ViewOptions, "drape"),
+        declared(ViewOptions, "error", "radius"),
+        declared(ViewOptions, "max_pixel_error", "max_pixel_error"),
+        declared(ViewOptions, "mode", "detail"),
+        declared(ViewOptions, "size", "bounds"),
+    )  # fmt: skip
+
+
+def announce_preparation(options: dict[str, Any]) -> None:
+    from terrainwave.render.modes import mode_class
+
+    preparation = mode_class(options["mode"]).preparation(options["error"])
+    if preparation is not None:
+        click.echo(preparation, err=True)
+
+
+def suggest_exaggeration(frame: Any) -> None:
+    factor = frame.suggested_exaggeration
+    if factor is not None:
+        print_note(
+            f"the heights are too small to be seen at the raster's extent: add --exaggeration"
+            f" {factor:g} to see them"
+        )
+
+
+def note_dry_land(scene: Any, style: Any) -> None:
+    frame = scene.scene.frame
+    lowest = min(frame.heights, key=frame.to_metres)
+    if not style.is_absolute(frame.body) or style.sea_level != AUTO:
+        return
+    if frame.to_metres(lowest) <= _SEEN_DEPTH and not scene.water.cells.any():
+        print_note(
+            f"heights from {lowest:g} to 0 are drawn as land, because none is level at 0 or below"
+            " -450 m: add --sea-level 0 to draw water there"
+        )
+
+
+def style_of(options: dict[str, Any]) -> Style:
+    return Style(
+        **{one.name: options.pop(one.name) for one in Style.options() if one.metadata["help"]}
+    )
 
 
 @click.command(cls=Command)
@@ -78,9 +137,7 @@ def render(
 
 
 def _refuse_unfit_for_flights(flight: Any, options: dict[str, Any]) -> None:
-    """Raise for cameras in addition to a flight, and for a number of pictures without one."""
-    source = click.get_current_context().get_parameter_source("n_frames")
-    if flight is None and source is ParameterSource.COMMANDLINE:
+    if flight is None and "n_frames" in on_command_line():
         raise click.UsageError("found --frames without --flight, expected both")
     for name in ("camera", "bounds"):
         if flight is not None and options[name] is not None:
@@ -102,7 +159,6 @@ def _draw(
     quiet: bool,
     **options: Any,
 ) -> list[dict[str, Any]]:
-    """Draw the pictures; return a description of each."""
     import terrainwave
     from terrainwave.render.gpu.canvas import Canvas
     from terrainwave.render.look.marks import check_marks
@@ -156,7 +212,6 @@ def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
 
 
 def _numbered(target: str, n_frames: int) -> list[str]:
-    """Return a name for each picture of a flight."""
     path = Path(target)
     digits = max(4, len(str(n_frames)))
     return [
@@ -170,3 +225,45 @@ def _write(target: str, data: bytes, overwrite: bool) -> None:
 
     with publish(target, overwrite) as part:
         part.file.write(data)
+
+
+@click.command(cls=CommandWithoutTarget)
+@click.argument("file", type=Input())
+@drawing
+@click.option(
+    "--target-ms",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Raise the pixel error if a frame takes longer than this, in milliseconds.",
+)
+@click.option("--fullscreen", is_flag=True, help="Fill the screen.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@with_extra("view")
+def view(
+    file: str,
+    camera: str | None,
+    max_pixel_error: float,
+    memory: int,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Open a window and fly over FILE (.twz) or its URL; H shows the keys and settings."""
+    import terrainwave
+    from terrainwave.render.scene.frame import frame_of
+    from terrainwave.render.window.viewer import run
+
+    announce_compiling(quiet=quiet)
+    if not quiet:
+        announce_preparation(options)
+    with reading(file), terrainwave.open(file) as terrain:
+        if options["exaggeration"] == 1.0:
+            suggest_exaggeration(frame_of(terrain, radius=options["radius"]))
+        line = run(
+            terrain,
+            camera=camera,
+            style=style_of(options),
+            max_pixel_error=max_pixel_error,
+            max_bytes=memory << 20,
+            **options,
+        )
+    if not quiet:
+        click.echo(f"--camera {line}")

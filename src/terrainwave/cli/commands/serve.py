@@ -121,7 +121,9 @@ def serve(
         named = tuple(name for name in (host, *hosts) if name not in _ANY_HOST)
         app = make_app(list(files), hosts=named, **options)
         with _listen(host, port) as listener:
-            address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
+            shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+            shown = f"[{shown}]" if ":" in shown else shown
+            address = f"http://{shown}:{listener.getsockname()[1]}/"
             if not quiet:
                 n_terrains = count_of(len(app.state.layers), "terrain")
                 click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
@@ -142,10 +144,7 @@ def serve(
 
 @contextmanager
 def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
-    """End the command without an error on a signal.
-
-    The status is 0 after Ctrl-C; after other signals it is what shells expect.
-    """
+    """End the command by a signal without an error: status 0 after Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt as ended:
@@ -157,10 +156,7 @@ def _saying_that_it_stopped(*, quiet: bool) -> Iterator[None]:
 
 
 def _serve_named(add: Callable[[str], Any], address: str, server: Any) -> None:
-    """Serve each file named by a line of stdin and answer it; stop the server at the end of stdin.
-
-    An answer has `file`, as named, and `url` and `info`, or `error`.
-    """
+    """Serve each file named by a line of stdin; answer `file`, and `url` and `info` or `error`."""
     # Unbuffered: the process may end while this thread waits for a line.
     with open(0, "rb", buffering=0, closefd=False) as names:
         try:
@@ -181,7 +177,6 @@ def _answer(add: Callable[[str], Any], file: str, address: str) -> dict[str, Any
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the address."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
@@ -202,8 +197,3 @@ def _listen(host: str, port: int) -> socket.socket:
             " with --port, or --port 0 for a free one"
         ) from error
     return listener
-
-
-def _in_url(host: str) -> str:
-    shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    return f"[{shown}]" if ":" in shown else shown

@@ -114,7 +114,7 @@ def tiles(
         zooms = [asdict(zoom) for zoom in summaries]
         print_json({"path": str(Path(target)), "zooms": zooms})
     elif not quiet:
-        (_print_archived if is_archive else _print_zooms)(target, summaries, units)
+        _print_zooms(target, summaries, units, is_archive=is_archive)
         if not units:
             print_note(
                 "the raster names no vertical unit: heights and errors are as stored, which maps"
@@ -158,34 +158,27 @@ def _write_directory(
     return write_tiles(terrain, target, void_height=void_height or 0.0, fill_voids=fill, **options)
 
 
-def _print_archived(target: str, summaries: Any, units: str | None) -> None:
-    header = ["zoom", "tiles", "bytes", "step", "surface error", "terrain error", "error"]
-    rows = [
-        [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_bytes:,}", f"{zoom.step:g}",
-         _metres(zoom.surface_error), _metres(zoom.terrain_error), _metres(zoom.error)]
-        for zoom in summaries
-    ]  # fmt: skip
-    print_grid(header, rows)
-    _print_total(target, summaries, units)
-
-
-def _print_zooms(directory: str, summaries: Any, units: str | None) -> None:
-    header = ["zoom", "tiles", "triangles", "bytes", "Cesium's error", "surface error", "error"]
-    rows = [
-        [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_triangles:,}", f"{zoom.n_bytes:,}",
-         f"{zoom.geometric_error:.5g}", _metres(zoom.surface_error), _metres(zoom.error)]
-        for zoom in summaries
-    ]  # fmt: skip
-    print_grid(header, rows)
-    _print_total(directory, summaries, units)
-    layer = json.loads((Path(directory) / "layer.json").read_text(encoding="utf-8"))
-    click.echo(f"heights {vertical_in_words(layer['vertical'])}")
-
-
-def _print_total(target: str, summaries: Any, units: str | None) -> None:
+def _print_zooms(target: str, summaries: Any, units: str | None, *, is_archive: bool) -> None:
+    header = ["zoom", "tiles", "triangles", "bytes", "Cesium's error", "surface error"]
+    if is_archive:
+        header = ["zoom", "tiles", "bytes", "step", "surface error", "terrain error"]
+    rows = []
+    for zoom in summaries:
+        row = [str(zoom.zoom), f"{zoom.n_tiles:,}"]
+        if is_archive:
+            row += [f"{zoom.n_bytes:,}", f"{zoom.step:g}"]
+            row += [_metres(zoom.surface_error), _metres(zoom.terrain_error)]
+        else:
+            row += [f"{zoom.n_triangles:,}", f"{zoom.n_bytes:,}", f"{zoom.geometric_error:.5g}"]
+            row += [_metres(zoom.surface_error)]
+        rows.append([*row, _metres(zoom.error)])
+    print_grid([*header, "error"], rows)
     n_tiles = sum(zoom.n_tiles for zoom in summaries)
     in_metres = "; errors in m" if units else ""
     click.echo(f"{plain(target)}: {count_of(n_tiles, 'tile')}{in_metres}")
+    if not is_archive:
+        layer = json.loads((Path(target) / "layer.json").read_text(encoding="utf-8"))
+        click.echo(f"heights {vertical_in_words(layer['vertical'])}")
 
 
 def _metres(error: float | None) -> str:

@@ -4,12 +4,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from terrainwave.arguments import TWZ_ENDINGS, count_of
 from terrainwave.cli.batch import Done, FileJob, find_original, finish, run, with_files_of_folders
 from terrainwave.cli.commands.info import files_before
-from terrainwave.cli.options import BOUND, THREADS_OPTION, Input, OfKind, complete_files
+from terrainwave.cli.options import (
+    BOUND,
+    THREADS_OPTION,
+    Input,
+    OfKind,
+    complete_files,
+    on_command_line,
+)
 from terrainwave.cli.output import (
     Bar,
     CommandWithoutTarget,
@@ -90,7 +96,7 @@ def _verify(
     ctx = click.get_current_context()
     _refuse_meshes_of_a_part(**options)
     if original is None:
-        _refuse_unfit_without_original(ctx)
+        _refuse_unfit_without_original()
     file = Input().convert(path, None, ctx)
     raster = None if original is None else Input().convert(original, None, ctx)
     for name in ("root", "window"):
@@ -109,13 +115,12 @@ def _verify(
     finish(int(not report.ok))
 
 
-def _refuse_unfit_without_original(ctx: click.Context) -> None:
-    """Raise for options that concern the original."""
+def _refuse_unfit_without_original() -> None:
     for name in ("band", "nodata", "heights_are", "max_error", "part"):
-        if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            option = f"--{name}".replace("_", "-")
+        if name in on_command_line():
             raise click.UsageError(
-                f"found {option} without ORIGINAL, expected both: nothing is compared otherwise"
+                f"found --{name.replace('_', '-')} without ORIGINAL, expected both: nothing is"
+                " compared otherwise"
             )
 
 
@@ -163,7 +168,7 @@ def _verify_all(
         if options[name] is not None:
             raise click.UsageError(f"found --{name} and several files, expected one FILE")
     if originals is None:
-        _refuse_unfit_without_original(click.get_current_context())
+        _refuse_unfit_without_original()
     announce_compiling(quiet=quiet)
     folders = dict(with_files_of_folders(files, TWZ_ENDINGS))
     finish(

@@ -92,17 +92,14 @@ def web_address(url: str) -> SplitResult:
 
 
 def origin(parts: SplitResult) -> tuple[str, str, int]:
-    """Return scheme, host and port."""
     return parts.scheme, parts.hostname or "", parts.port or DEFAULT_PORTS[parts.scheme]
 
 
 def without_login(parts: SplitResult) -> str:
-    """Return the URL without user and password."""
     return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
 
 
 def basic_login(parts: SplitResult) -> str | None:
-    """Return the header for user and password of a URL."""
     if parts.username is None:
         return None
     login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
@@ -117,12 +114,10 @@ def redirected(url: str, location: str) -> str:
 
 
 def is_signed(url: str) -> bool:
-    """Return whether the query has a signature, as temporary links of storage do."""
     return not _SIGNATURES.isdisjoint(_parameters(url))
 
 
 def has_expired(url: str, reply: str) -> bool:
-    """Return whether a refused URL has expired, by its query or by the reply's text."""
     if _TELLS_EXPIRY.search(reply):
         return True
     end = _end(_parameters(url)) if is_signed(url) else None

@@ -41,7 +41,6 @@ class ByteSource:
         return [reader.take(wanted) for wanted in ranges]
 
     def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
-        """Return the bytes of each range, in the given order; each is one request."""
         for span in spans:
             self._check_range(*span)
         return self._read_spans(spans)
@@ -70,7 +69,6 @@ class ByteSource:
 
     @property
     def version(self) -> str:
-        """Return an identity of this version of the bytes, if any; it is compared with the size."""
         return ""
 
     def close(self) -> None:
@@ -118,13 +116,11 @@ class BufferSource(ByteSource):
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def _some(self, file: BinaryIO, offset: int, length: int) -> bytes:
-        """Return bytes from an offset on; none at the end of the file."""
         with self._lock:
             file.seek(offset)
             return file.read(length)
 
     def close(self) -> None:
-        """Release the buffer; a file object given by the caller is not closed."""
         self._file = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -149,7 +145,6 @@ class FileSource(BufferSource):
 
     @property
     def version(self) -> str:
-        """Return the file's identity and time of change, which programs cannot set."""
         if self._file is None:
             return ""
         found = os.fstat(self._file.fileno())

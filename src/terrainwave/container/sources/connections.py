@@ -35,19 +35,11 @@ _TUNNEL = re.compile(r"Tunnel connection failed: (\d{3})")
 
 
 class ProxyStatus(Exception):
-    """The proxy, not the server, returned this status."""
-
-    def __init__(self, status: int) -> None:
-        super().__init__(status)
-        self.status = status
+    """The proxy, not the server, returned the status that is its argument."""
 
 
 class TooSlow(Exception):
-    """A reply took longer than allowed."""
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__(seconds)
-        self.seconds = seconds
+    """A reply took longer than the seconds that are its argument."""
 
 
 class _Watch:
@@ -81,10 +73,7 @@ class Connections:
         self.renew()
 
     def renew(self) -> None:
-        """Reset after a fork: parent and child would read each other's bytes.
-
-        Connections in use are left alone: their locks may be held.
-        """
+        """Reset after a fork; connections in use are left alone, as their locks may be held."""
         self._lock = threading.Lock()
         self._turns = threading.Semaphore(N_CONNECTIONS)
         self._managers: dict[tuple[str, str | None], urllib3.PoolManager] = {}
@@ -103,15 +92,9 @@ class Connections:
         """Request `url` and return the result of `take` on the reply.
 
         A kept connection that fails is replaced at once: servers close them at any time. Raises
-        `OSError` or `http.client.HTTPException`: errors below urllib3. Raises `ProxyStatus` if the
-        proxy refuses the connection to the server. Raises `TooSlow` if `most_seconds` have passed.
-
-        Parameters
-        ----------
-        timeout : float
-            Seconds without a byte.
-        most_seconds : float
-            Seconds for the whole reply: a server may send single bytes forever.
+        errors below urllib3, `ProxyStatus` if the proxy refuses the connection to the server,
+        `TooSlow` if `most_seconds` have passed: a server may send single bytes, within `timeout`,
+        forever.
         """
         with self._turns, _Watch(most_seconds) as watch:
             self._here.watch = watch
@@ -140,7 +123,6 @@ class Connections:
         raise AssertionError("the second attempt returns or raises")
 
     def close(self) -> None:
-        """Close all; threads that wait for a reply get an `OSError`."""
         with self._lock:
             self._is_closed = True
             managers, self._managers, self._pools = self._managers, {}, {}
@@ -241,7 +223,6 @@ def _exchange(
 
 
 def _cause(error: BaseException) -> Exception:
-    """Return the error wrapped by urllib3."""
     while True:
         inner = next((item for item in error.args if isinstance(item, Exception)), None)
         inner = inner or error.__cause__  # type: ignore[assignment]
@@ -251,7 +232,6 @@ def _cause(error: BaseException) -> Exception:
 
 
 def proxy_of(url: SplitResult) -> str | None:
-    """Return the proxy to a server by the environment or the system."""
     proxies = urllib.request.getproxies()
     proxy = proxies.get(url.scheme) or proxies.get("all")
     if not proxy or _is_near(url, proxies.get("no", "")):
@@ -275,10 +255,7 @@ def _is_near(url: SplitResult, no_proxy: str) -> bool:
 
 
 def trusted() -> ssl.SSLContext:
-    """Return the certificates to trust: those named by the environment, or the system's.
-
-    Raises `StorageError` if a variable names a file without certificates.
-    """
+    """Return the certificates to trust: those named by the environment, or the system's."""
     return _context(*map(os.environ.get, (*_CERTIFICATES, "SSL_CERT_DIR")))
 
 

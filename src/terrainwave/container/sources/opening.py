@@ -11,10 +11,7 @@ SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
 
 
 def open_source(source: SourceLike) -> ByteSource:
-    """Return a byte source for a path, a URL, bytes or a binary file object.
-
-    Raises `StorageError` if it cannot be opened or does not serve byte ranges.
-    """
+    """Return the source of a path, a URL, bytes or a binary file object, or raise."""
     if isinstance(source, bytes | bytearray | memoryview):
         return BufferSource(bytes(source))
     if isinstance(source, str) and "://" in source:

@@ -29,16 +29,11 @@ class ByteRange(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Return the offset after the last byte."""
         return self.offset + self.length
 
 
 class Budget(NamedTuple):
-    """Limits for the requests of one round.
-
-    `n_requests` is the target; `waste` are the bytes in gaps to bridge in any case, `most_waste`
-    while there are more requests.
-    """
+    """Target number of requests of one round, and bytes in gaps to bridge: always, and above it."""
 
     n_requests: int
     waste: int
@@ -46,15 +41,7 @@ class Budget(NamedTuple):
 
 
 def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
-    """Return the remaining budget for a round of a read.
-
-    Parameters
-    ----------
-    n_wanted : int
-        Bytes wanted in the whole read, including earlier and later rounds.
-    n_requests, n_wasted : int
-        Requests made and unwanted bytes fetched in earlier rounds.
-    """
+    """Return the budget that is left of a whole read of `n_wanted` bytes, after earlier rounds."""
     waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
     most_waste = max(_MOST_FREE_WASTE, int(_MOST_WASTE * n_wanted))
     return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
@@ -63,8 +50,8 @@ def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
 def merge_ranges(ranges: Iterable[ByteRange], budget: Budget | None = None) -> list[ByteRange]:
     """Return requests that cover `ranges`, by offset, up to 16 MiB each.
 
-    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of only these
-    ranges. Empty ranges need no request.
+    The shortest gaps are bridged, none above 1 MiB, within `budget`; by default that of these
+    ranges.
     """
     runs: list[ByteRange] = []
     for wanted in sorted(part for part in ranges if part.length):
@@ -106,14 +93,9 @@ class _Source(Protocol):
 
 
 class RoundReader:
-    """Fetches ranges of a source, a round at a time; all rounds share one budget.
+    """Fetches ranges of a source in rounds that share one budget; all bytes fetched stay.
 
-    Earlier rounds give the positions of later ranges. All bytes fetched stay.
-
-    Parameters
-    ----------
-    start : bytes
-        Beginning of the source, as far as it is known.
+    `start`: beginning of the source, as far as it is known.
     """
 
     def __init__(self, source: _Source, start: bytes = b"") -> None:
@@ -125,10 +107,7 @@ class RoundReader:
         self._n_read = 0
 
     def fetch(self, wanted: Iterable[ByteRange]) -> None:
-        """Fetch the missing parts of `wanted`, in one round.
-
-        They count as needed together with those of earlier rounds, which may be among them.
-        """
+        """Fetch the missing parts of `wanted` in one round, which still needs earlier ones."""
         self._wanted |= dict.fromkeys(wanted)
         missing = [part for place in self._wanted for part in self._missing(place)]
         n_wanted = sum(place.length for place in self._wanted)
@@ -144,11 +123,9 @@ class RoundReader:
         self._n_requests += len(spans)
 
     def has(self, place: ByteRange) -> bool:
-        """Return whether a range is fetched already."""
         return not self._missing(place)
 
     def take(self, wanted: ByteRange) -> bytes:
-        """Return the bytes of a fetched range."""
         return b"".join(
             piece[max(0, wanted.offset - start) : wanted.end - start]
             for start, piece in self._overlapping(wanted)
@@ -160,7 +137,6 @@ class RoundReader:
             insort(self._pieces, (part.offset, data[part.offset - offset : part.end - offset]))
 
     def _missing(self, wanted: ByteRange) -> list[ByteRange]:
-        """Return the parts of a range that are not fetched, without empty ones."""
         parts, pos = [], wanted.offset
         for start, piece in self._overlapping(wanted):
             if pos < start:

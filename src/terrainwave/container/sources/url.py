@@ -92,7 +92,6 @@ _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 
 def open_url(url: str) -> ByteSource:
-    """Open the source of a URL; raise `StorageError` if it cannot be read."""
     first, rest = split_chain(url)
     scheme, _, name = first.partition("://")
     if scheme.lower() in ("http", "https"):
@@ -116,10 +115,7 @@ class _Version(NamedTuple):
     modified: str | None = None
 
     def is_that_of(self, other: "_Version") -> bool:
-        """Compare ETags, weak or strong, or else dates; a missing one matches.
-
-        An empty version matches every other, but a version does not match an empty one.
-        """
+        """Compare ETags, weak or strong, or else dates; an empty version matches every other."""
         if self.etag and other.etag:
             return self.etag.removeprefix("W/") == other.etag.removeprefix("W/")
         if self.modified and other.modified:
@@ -145,7 +141,6 @@ class _Reply(NamedTuple):
 
     @property
     def seconds_to_wait(self) -> float:
-        """Return the seconds of `Retry-After`; 0 if it is missing or malformed."""
         with suppress(InvalidHeader, OverflowError, ValueError):
             return _RETRY.parse_retry_after(self.headers.get("Retry-After", ""))
         return 0.0
@@ -196,14 +191,8 @@ class _UrlSource(ByteSource):
 class HttpSource(_UrlSource):
     """A file on a web server with byte ranges, or a small one on a server without.
 
-    Opening is one request, for the first 16 KiB. Retries and error messages are those of the
-    JavaScript reader: docs/how-to/remote.md.
-
-    Parameters
-    ----------
-    version : tuple of (str or None), optional
-        The ETag and the Last-Modified that every reply must carry; by default those of the first
-        reply.
+    Opening is one request, for the first 16 KiB. Every reply must have the `version` of the first
+    one. Retries and messages are those of the JavaScript reader: docs/how-to/remote.md.
     """
 
     def __init__(self, url: str, version: _Version = _Version()) -> None:  # noqa: B008  immutable
@@ -225,7 +214,6 @@ class HttpSource(_UrlSource):
 
     @property
     def version(self) -> str:
-        """Return the ETag, or else the time of the last change."""
         return self._version.etag or self._version.modified or ""
 
     def renew(self) -> None:
@@ -316,16 +304,11 @@ class HttpSource(_UrlSource):
     def _refused(self, reply: _Reply) -> StorageError:
         problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
-            has_login = "@" in reply.proxy
+            says = "refuses the user and password given"
+            says = says if "@" in reply.proxy else "wants a user and password"
             problem = (
-                f"the proxy {display_name(reply.proxy)} "
-                + (
-                    "refuses the user and password given"
-                    if has_login
-                    else "wants a user and password"
-                )
-                + f" ({reply.reason}); name them in {self._named.scheme}_proxy,"
-                " as http://user:password@host:port"
+                f"the proxy {display_name(reply.proxy)} {says} ({reply.reason}); name them in"
+                f" {self._named.scheme}_proxy, as http://user:password@host:port"
             )
         elif reply.proxy:
             problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"
@@ -380,10 +363,10 @@ class HttpSource(_UrlSource):
         except TooSlow as error:
             raise SourceUnavailableError(
                 f"cannot read {self.name}: the server has not sent {count_of(n_bytes, 'byte')} in"
-                f" {error.seconds:,.0f} s; try again later"
+                f" {error.args[0]:,.0f} s; try again later"
             ) from error
         except ProxyStatus as error:
-            reply = _Reply(url.geturl(), error.status, {}, proxy=proxy_of(url) or "?")
+            reply = _Reply(url.geturl(), error.args[0], {}, proxy=proxy_of(url) or "?")
         if reply.status == 407 and not reply.proxy:
             return reply._replace(proxy=proxy_of(url) or "")
         return reply
@@ -409,7 +392,6 @@ class HttpSource(_UrlSource):
         return basic_login(url) or (basic_login(self._named) if is_same else None)
 
     def close(self) -> None:
-        """Close all connections; waiting threads get an error."""
         self._is_closed = True
         self._closing.set()
         self._connections.close()
@@ -441,16 +423,12 @@ def _unreadable(name: str, error: Exception) -> StorageError:
 
 
 def _coding(headers: Mapping[str, str]) -> str:
-    """Return a reply's compression, "" if none."""
     coding = headers.get("Content-Encoding", "").strip().lower()
     return "" if coding == "identity" else coding
 
 
 def _read_reply(response: Any, url: str, wanted: ByteRange | None, *, takes_whole: bool) -> _Reply:
-    """Read a partial reply up to the wanted length, and little of others.
-
-    `takes_whole` also reads a complete file, up to `MAX_WHOLE`.
-    """
+    """Read a partial reply up to the wanted length, or a whole file up to `MAX_WHOLE`."""
     status, headers = response.status, response.headers
     reply = _Reply(url, status, headers)
     if status == 200 and takes_whole:
@@ -490,13 +468,7 @@ def _read_at_most(response: Any, length: int, *, decode_content: bool = False) -
 
 
 class FsspecSource(_UrlSource):
-    """A file on any storage of fsspec: ``s3://``, ``gs://``, ``memory://``, ...
-
-    Parameters
-    ----------
-    version : str, optional
-        Required version according to the file system; by default the current one.
-    """
+    """A file on any storage of fsspec, of a required version: ``s3://``, ``gs://``, ..."""
 
     # File systems raise errors of their libraries, most of which are not OSErrors.
     _failing, _passing = (Exception,), (ConnectionError, TimeoutError)
@@ -516,11 +488,9 @@ class FsspecSource(_UrlSource):
 
     @property
     def version(self) -> str:
-        """Return the file system's version of the file."""
         return self._version or ""
 
     def check_unchanged(self) -> None:
-        """Raise `StorageError` if the file has changed since it was opened: one request."""
         info = self._info()
         if (info.get("size"), _version_of(info)) != (self.size, self._version):
             raise _changed(self.name)

@@ -10,6 +10,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Sequence
+from typing import IO, cast
 
 from terrainwave.arguments import size_of
 from terrainwave.container.sources.byte_source import (
@@ -56,15 +57,7 @@ class MemberSource(ByteSource):
 
 
 class CutFile(MemberSource):
-    """The bytes of a truncated file, followed by zeros, for which no checksum holds.
-
-    Parameters
-    ----------
-    source : ByteSource
-        The existing bytes; closed by `close`.
-    size : int
-        Bytes of the whole file.
-    """
+    """A truncated file of `size` bytes, whose end is zeros, for which no checksum holds."""
 
     def __init__(self, source: ByteSource, size: int) -> None:
         super().__init__(source.name, source, 0, size)
@@ -85,10 +78,7 @@ class CutFile(MemberSource):
 
 
 def open_member(path: str, source: ByteSource) -> ByteSource:
-    """Return the source of the file `path` in a zip; closes the zip's source on failure.
-
-    Raises `StorageError` if the archive or the file in it cannot be read.
-    """
+    """Return the source of the file `path` in a zip; close the zip's on failure."""
     try:
         return _member(path.lstrip("/"), source)
     except BaseException:
@@ -100,7 +90,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
     at = source.name
     name = f"zip://{path}::{at}"
     try:
-        with zipfile.ZipFile(_AsFile(source)) as archive:
+        with zipfile.ZipFile(cast(IO[bytes], _AsFile(source))) as archive:
             names = [info.filename for info in archive.infolist() if not info.is_dir()]
             if path not in names:
                 found = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
@@ -137,7 +127,6 @@ def _member(path: str, source: ByteSource) -> ByteSource:
 
 
 def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
-    """Return start and number of the bytes of a stored member."""
     head = source.read(info.header_offset, _LOCAL_HEADER)
     lengths = int.from_bytes(head[26:28], "little"), int.from_bytes(head[28:30], "little")
     start = info.header_offset + _LOCAL_HEADER + sum(lengths)
@@ -146,7 +135,7 @@ def _place(info: zipfile.ZipInfo, source: ByteSource) -> tuple[int, int]:
     return start, info.file_size
 
 
-class _AsFile(io.RawIOBase):
+class _AsFile:
     """A source as the file that `zipfile` reads; its end, with the directory, is read at once."""
 
     def __init__(self, source: ByteSource) -> None:
@@ -157,11 +146,7 @@ class _AsFile(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def readable(self) -> bool:
-        return True
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a position, as files do."""
         self._at = max(offset + {0: 0, 1: self._at, 2: self._source.size}[whence], 0)
         return self._at
 

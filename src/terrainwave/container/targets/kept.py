@@ -24,8 +24,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Self, TypeVar
 
 from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write, storage_errors, write_all
-from terrainwave.container.targets.publication import scratch_directory
-from terrainwave.container.targets.unfinished import own_path
+from terrainwave.container.targets.publication import own_path, scratch_directory
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 
 KEPT_SUFFIX = ".twz-kept"
@@ -52,26 +51,11 @@ class _Record(NamedTuple):
 
 
 class Kept:
-    """Finished work of one run; thread-safe.
+    """Finished work of one run in a directory, None to keep nothing; thread-safe.
 
-    Parameters
-    ----------
-    directory : Path, optional
-        An existing directory that nobody else uses; None keeps nothing.
-    run : dict
-        Everything that the work depends on, as plain values for JSON.
-
-    Attributes
-    ----------
-    other : dict or None
-        The `run` of other work that was found in the directory, and removed.
-    n_found : int
-        Number of records of an earlier run.
-
-    Raises
-    ------
-    StorageError
-        If the directory cannot be used.
+    `run` is everything that the work depends on, as plain values for JSON. `other` is that of other
+    work that was found in the directory and removed, `n_found` the number of an earlier run's
+    records. Raises `StorageError` if the directory cannot be used.
     """
 
     def __init__(self, directory: Path | None = None, run: dict[str, Any] | None = None) -> None:
@@ -90,24 +74,20 @@ class Kept:
 
     @property
     def is_on(self) -> bool:
-        """Return whether anything is kept."""
         return self._file is not None
 
     @property
     def n_bytes(self) -> int:
-        """Return the size of the work on disk."""
         return 0 if self.directory is None else sum(map(_on_disk, self._paths(self.directory)))
 
     @property
     def n_kept(self) -> int:
-        """Return the number of records."""
         return len(self.names())
 
     def names(self) -> list[str]:
         return [name for name in self._records if name not in (_RUN, _BOOT, _SYNCED)]
 
     def get(self, name: str) -> dict[str, Any] | None:
-        """Return the values of a record; None if it does not exist."""
         record = self._records.get(name)
         return None if record is None else record.values
 
@@ -119,7 +99,6 @@ class Kept:
             return self._file.read(record.n_bytes)
 
     def put(self, name: str, values: dict[str, Any], data: bytes = b"") -> None:
-        """Keep a record."""
         if self._file is None:
             return
         with self._lock:
@@ -137,7 +116,6 @@ class Kept:
         return True
 
     def path(self, name: str) -> Path | None:
-        """Return the path of an array's file; None if nothing is kept."""
         return None if self.directory is None else self.directory / f"{name}{_ARRAY}"
 
     def each(
@@ -151,8 +129,7 @@ class Kept:
     ) -> Iterator[Result]:
         """Yield the results of `do` for the items that are not done yet, in order.
 
-        An item is done when the next result is requested; the record then has `values`, too. If
-        the results of an earlier run are not there any more, all items are done again.
+        An item is done when the next result is requested; the record then has `values`, too.
         """
         if not is_there and self.get(name) is not None:
             self.put(name, {"done": 0})
@@ -166,33 +143,27 @@ class Kept:
             self.put(name, {"done": done, "is_whole": True, **values()})
 
     def is_whole(self, name: str) -> bool:
-        """Return whether all items of `each` are done."""
         return "is_whole" in (self.get(name) or {})
 
     def clear(self) -> None:
-        """Remove all work."""
         if self.directory is None:
             return
+        self.close()
         with self._lock, storage_errors(f"cannot use {self.directory}"):
-            self._close()
             self._remove_all(self.directory)
             self._open(self.directory)
 
     def close(self) -> None:
-        """Close the journal; the work stays."""
         with self._lock:
-            self._close()
+            if self._file is not None:
+                self._file.close()
+            self._file, self._records = None, {}
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-        self._file, self._records = None, {}
 
     def _open(self, directory: Path) -> None:
         path = directory / _JOURNAL
@@ -260,7 +231,6 @@ class Kept:
 
 
 def _records(file: BinaryIO) -> Iterator[_Record]:
-    """Yield the records of a journal up to the first incomplete one."""
     size = os.fstat(file.fileno()).st_size
     while len(head := file.read(_HEAD.size)) == _HEAD.size:
         magic, n_text, n_data, crc = _HEAD.unpack(head)
@@ -278,7 +248,6 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _boot() -> str:
-    """Return the system's boot identifier; a unique one if it has none."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return os.urandom(8).hex()
@@ -299,22 +268,8 @@ def kept_directory(
 
     It is called ``.name.digits.twz-kept``. It is removed at the end of the block, unless the block
     raises an exception after work was kept: then a note of the exception names it. The caller must
-    be the only writer of `target` (`unfinished.only_writer`).
-
-    Parameters
-    ----------
-    target : Path
-        Absolute path.
-    run : dict, optional
-        Everything that the work depends on (`Kept`); None keeps nothing, uses a directory of
-        another name, and removes existing work.
-    fresh : bool
-        Discard the work of an earlier run.
-
-    Raises
-    ------
-    StorageError
-        If the directory cannot be used, or belongs to another user.
+    be the only writer of `target` (`unfinished.only_writer`). `fresh` discards an earlier run's
+    work; without `run` nothing is kept. Raises `StorageError` if the directory cannot be used.
     """
     path = own_path(target, Path(parent), KEPT_SUFFIX)
     if fresh or run is None:
@@ -350,7 +305,6 @@ def kept_directory(
 
 
 def digest_of_file(path: str | os.PathLike[str]) -> str:
-    """Return a digest of a file's bytes."""
     with storage_errors(f"cannot read {os.fspath(path)}"), open(path, "rb") as file:
         return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
 
@@ -364,7 +318,6 @@ def _remove(path: Path) -> None:
 
 
 def _remove_others(directory: Path) -> None:
-    """Remove temporary files of a killed run from a directory."""
     for path in directory.iterdir():
         if path.name != _JOURNAL and path.suffix != _ARRAY:
             if path.is_dir() and not path.is_symlink():

@@ -15,8 +15,7 @@ from terrainwave import interrupts
 from terrainwave.arguments import check_flags, in_one_line
 from terrainwave.container.sources.addresses import display_name, without_secrets
 from terrainwave.container.spool import storage_errors
-from terrainwave.container.targets.publication import OF_GDAL, scratch_directory
-from terrainwave.container.targets.unfinished import Part
+from terrainwave.container.targets.publication import OF_GDAL, Part, scratch_directory
 from terrainwave.errors import InvalidArgumentError, StorageError, TerrainwaveError
 from terrainwave.extras import need
 
@@ -33,23 +32,10 @@ def uploaded(
 ) -> Iterator[Part]:
     """Yield a file to write; it appears at a URL when the block ends without exception.
 
-    Parameters
-    ----------
-    url : str
-        A URL that fsspec can write to.
-    overwrite : bool
-        Replace an existing file.
-    temp_dir : path, optional
-        Directory of the local file; by default the system's directory for temporary files.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If URLs of this kind are not writable.
-    StorageError
-        Before the block: if the file exists and `overwrite` is false, or its storage cannot be
-        reached. After it: if it cannot be uploaded; the finished file then stays on this machine,
-        and the message names it.
+    Raises `InvalidArgumentError` if URLs of this kind are not writable. Raises `StorageError`
+    before the block if the file exists, without `overwrite`, or its storage cannot be reached;
+    after it if it cannot be uploaded: the finished file then stays on this machine, and the message
+    names it.
     """
     check_flags(overwrite=overwrite)
     name = display_name(url)
@@ -99,10 +85,7 @@ def _put(filesystem: Any, path: Path, target: str, name: str) -> None:
 
 @contextmanager
 def filesystem_errors(action: str) -> Iterator[None]:
-    """Turn errors of fsspec's file systems into a `StorageError` that begins with `action`.
-
-    They are of these systems' own libraries, and most are not OSErrors.
-    """
+    """Turn any errors of fsspec's file systems into a `StorageError` that begins with `action`."""
     try:
         yield
     except TerrainwaveError:
@@ -113,10 +96,7 @@ def filesystem_errors(action: str) -> Iterator[None]:
 
 
 def put_whole(filesystem: Any, put: Callable[[str], None], target: str) -> None:
-    """Write a file of one of fsspec's file systems: all of it appears, or nothing.
-
-    `put` writes it under a name, in a folder that is there. Raises any error of the file system.
-    """
+    """Let `put` write a file of a file system under a name: all of it appears, or nothing."""
     protocols = filesystem.protocol
     if not _OBJECT_STORES.isdisjoint([protocols] if isinstance(protocols, str) else protocols):
         put(target)

@@ -44,12 +44,8 @@ Answering = Callable[[Question], Answer]
 class Channel:
     """Answers the requests of one widget's views.
 
-    Parameters
-    ----------
-    send : callable
-        Takes a message and its buffers; called from several threads.
-    in_threads, at_once : dict
-        Handlers by kind of request, run in threads or before `take` returns.
+    `send`: takes a message and its buffers; called from several threads.
+    `in_threads`, `at_once`: handlers by kind of request, run in threads or before `take` returns.
     """
 
     def __init__(
@@ -88,7 +84,6 @@ class Channel:
             self._pool.submit(self._answer, asked, self._in_threads[what], question)
 
     def close(self) -> None:
-        """Stop answering."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _begin(self) -> bool:
@@ -114,15 +109,7 @@ class Channel:
 
 
 def read_ranges(source: ByteSource, question: Question) -> Answer:
-    """Return the bytes of ``ranges``, pairs of start and end, each as a buffer.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If they are not ranges inside the file.
-    LimitExceededError
-        If there are too many, or too many bytes.
-    """
+    """Return the bytes of ``ranges``, pairs of start and end, each as a buffer, within limits."""
     ranges = question.get("ranges")
     if not isinstance(ranges, list) or not ranges:
         raise InvalidArgumentError(f"found `ranges` {shown(ranges)}, expected a list of them")
@@ -136,7 +123,6 @@ def read_ranges(source: ByteSource, question: Question) -> Answer:
 
 
 def _checked_range(given: object, size: int) -> ByteRange:
-    """Return a range of the file; whole numbers in JSON are ints."""
     if isinstance(given, list) and [type(end) for end in given] == [int, int]:
         start, end = given
         if 0 <= start < end <= size:

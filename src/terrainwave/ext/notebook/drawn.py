@@ -18,19 +18,10 @@ _INSIDE = 1e-9
 
 
 def region_of_box(globe: Globe, box: Any) -> Region:
-    """Return the samples of the full grid whose pixels touch a box, clipped to the raster.
+    """Return the samples of the full grid whose pixels touch a box in degrees, clipped.
 
     In a raster around the whole globe, a box across its first column is reduced to its larger part.
-
-    Parameters
-    ----------
-    box : (west, south, east, north)
-        Degrees; east may be beyond 180.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not a box, or does not overlap the raster.
+    Raises `InvalidArgumentError` if it is not a box, or does not overlap the raster.
     """
     west, south, east, north = checked_numbers("box", box, "west, south, east, north")
     if not (west <= east <= west + 360 and -90 <= south <= north <= 90):
@@ -47,7 +38,6 @@ def region_of_box(globe: Globe, box: Any) -> Region:
 
 
 def _cut(extent: Extent, box: Extent) -> Extent | None:
-    """Return the part of a box that lies in an extent, in the extent's longitudes."""
     parts = []
     for turn in range(-3, 4):  # maps count turns
         west = max(extent.west, box.west + 360 * turn)
@@ -80,7 +70,6 @@ def _samples(globe: Globe, box: Extent) -> Region:
 
 
 def outline(globe: Globe, region: Region) -> list[list[float]]:
-    """Return the border of a region's pixels as [longitude, latitude], closed."""
     row, col, n_rows, n_cols = region
     along = np.linspace(0, 1, _N_ALONG)
     still = np.zeros(_N_ALONG)

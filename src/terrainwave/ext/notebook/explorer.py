@@ -25,7 +25,6 @@ from terrainwave.place.system import need_pyproj
 _CAMERA = {
     "lon": (-540, 540), "lat": (-90, 90), "zoom": (0, 24), "pitch": (0, 80), "bearing": (-360, 360),
 }  # fmt: skip
-# Pixels of the map.
 LEAST_HEIGHT, MOST_HEIGHT = 100, 10_000
 
 

@@ -14,13 +14,11 @@ _ENDINGS = (".html", ".css", ".js")
 
 
 def widget_module() -> str:
-    """Return the module for the notebook: js/notebook/widget.js."""
     return (_notebook_directory() / "widget.js").read_text(encoding="utf-8")
 
 
 @cache
 def page_files() -> dict[str, bytes]:
-    """Return {name as in a published folder: text, compressed by gzip}."""
     reader = reader_directory()
     paths = {f"static/{_below(_STATIC, path)}": path for path in _STATIC.rglob("*")}
     for name in ("src", "map"):
@@ -37,7 +35,6 @@ def page_files() -> dict[str, bytes]:
 
 @cache
 def page_version() -> str:
-    """Return an identifier of this version of the page."""
     digest = hashlib.sha256()
     for name, packed in page_files().items():
         digest.update(name.encode() + packed)

@@ -4,5 +4,4 @@ import os
 
 
 def hook_dirs() -> list[str]:
-    """Return the directory of the hooks."""
     return [os.path.dirname(__file__)]

@@ -9,14 +9,12 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, HTTPException, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
-from fastapi.routing import APIRoute
 
 from terrainwave.container.header import MEDIA_TYPE
-from terrainwave.ext.serve.byte_range import asked_span, is_same
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.ext.serve.layers import Layer, Raster, Shelf, named
 from terrainwave.ext.serve.locations import Locations, fields_of, locations_of, read_body
-from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, asked_span, begun, is_same, parts
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.terrain_rgb import Look
 from terrainwave.globe.tile_scheme import MAX_ZOOM as LAST_MESH_ZOOM
@@ -34,19 +32,8 @@ _FOREVER, _COMPARED = "max-age=31536000, immutable", "no-cache"
 
 
 def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
-    """Return the look that a request asks for, `look` where it does not say."""
     is_clear = look.transparent_voids if voids is None else voids == "transparent"
     return Look(encoding or look.encoding, is_clear)
-
-
-class _Route(APIRoute):
-    """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        methods: set[str] = self.methods or set()
-        if "GET" in methods:
-            self.methods = methods | {"HEAD"}
 
 
 class Answers:
@@ -83,9 +70,9 @@ class Answers:
             "/{name}.twz": self._file,
             "/{name}/height": self._heights,
         }
-        router = APIRouter(route_class=_Route)
+        router = APIRouter()
         for path, answer in answers.items():
-            router.add_api_route(path, answer, methods=["GET"])
+            router.add_api_route(path, answer, methods=["GET", "HEAD"])  # RFC 9110, 9.1
         router.add_api_route("/{name}/height", self._heights_posted, methods=["POST"])
         return router
 
@@ -223,7 +210,6 @@ class Answers:
         desk: Desk,
         ahead: Ahead | None = None,
     ) -> Response:
-        """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
         span = asked_span(request.headers, size, headers["ETag"])
         if span is None:
             return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
@@ -261,13 +247,7 @@ class Answers:
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
-    """Refuse an address outside a tile pyramid with `n_first` tiles, side by side, on zoom 0.
-
-    Raises
-    ------
-    HTTPException
-        404, with one line that says what is expected.
-    """
+    """Answer 404 for a tile outside a pyramid with `n_first` tiles side by side on zoom 0."""
     if not 0 <= z <= last_zoom:
         raise HTTPException(404, f"found zoom {z}, expected 0 … {last_zoom}")
     n_columns, n_rows = n_first << z, 1 << z
@@ -304,7 +284,6 @@ def heights_at(layer: Layer, places: Locations) -> dict[str, Any]:
 
 
 def height_at(layer: Layer, place: Locations) -> dict[str, Any]:
-    """Return the height at one place, as `heights_at` does, in one object."""
     found = heights_at(layer, place)
     (result,) = found["results"]
     return {

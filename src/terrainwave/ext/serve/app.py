@@ -18,11 +18,10 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from terrainwave.arguments import AS_IS, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.ext.serve.answers import STATIC, Answers
-from terrainwave.ext.serve.guards import Guarded, guards_of
 from terrainwave.ext.serve.layers import Shelf, open_layers
 from terrainwave.ext.serve.locations import BadLocationsError
 from terrainwave.ext.serve.log import warn_once
-from terrainwave.ext.serve.proxies import Proxied, network_of
+from terrainwave.ext.serve.proxies import Guarded, Proxied, guards_of, network_of
 from terrainwave.ext.serve.proxies import public_url as address_of
 from terrainwave.ext.serve.sending import Desk
 from terrainwave.extras import with_extra
@@ -50,46 +49,11 @@ def make_app(
     public_url: str | None = None,
     proxy: tuple[str, ...] = (),
 ) -> FastAPI:
-    """Return the application that serves these files.
+    """Return the application that serves these files; ``app.state.shelf`` takes more.
 
-    Parameters
-    ----------
-    paths : list of str
-        Paths or URLs of .twz files; ``app.state.shelf`` takes more.
-    hosts : tuple of str
-        Names that a request's Host header may give besides `LOCAL_HOSTS`.
-    cors : bool
-        Let pages of other origins read.
-    n_decoding : int
-        Requests that decode at a time.
-    radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-    vertical : {"as-is", "ellipsoid"}
-        Heights of Cesium's tiles, as in `TilePyramid`.
-    encoding : {"mapbox", "terrarium"}
-        Of terrain-RGB tiles where a request names none, and of the page's; a warning names each
-        file with heights that it cannot hold.
-    transparent_voids : bool
-        Give voids of terrain-RGB tiles alpha 0 where a request does not say.
-    sea_level : {"auto", "none"} or float
-        Of the page's colours: the height in metres below which all is water, or none; by default 0
-        where there are heights below -450 m.
-    public_url : str, optional
-        Address of the server as browsers see it, which tiles.json names, such as
-        ``https://example.org/terrain/``; requests by its host are accepted. By default that of each
-        request.
-    proxy : tuple of str
-        IP addresses or networks of proxies whose X-Forwarded-Proto, -Host and -Prefix are believed,
-        besides those on this machine.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If an option has none of its values.
-    InvalidHeightsError
-        If two files have the same name or none has a place on the globe.
-    TerrainwaveError
-        If no file can be opened; one that cannot beside others is a warning.
+    Options are those of the command: `hosts` is its --allow-host, `n_decoding` its --threads.
+    Raises `TerrainwaveError` if an option has none of its values, two files have the same name or
+    none can be opened; one that cannot beside others is a warning.
     """
     SEA_LEVEL.checked("sea_level", sea_level)
     public = None if public_url is None else address_of(public_url)

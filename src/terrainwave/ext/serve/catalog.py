@@ -30,7 +30,6 @@ def describe(
     # `ramp_colors`
     sea_level: float | str = AUTO,
 ) -> dict[str, Any]:
-    """Return a file's fields for the page; no path. Its tags may hold any text."""
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
     sea = sea_level if is_earth and sea_level != NO_SEA else None
@@ -57,7 +56,6 @@ def describe(
 
 
 def origin_of(tags: dict[str, str]) -> dict[str, str]:
-    """Return the tags that say whose data it is: a few, each a line that is not too long."""
     told = {name: text for name, text in tags.items() if text and _ORIGIN.search(name)}
     return {
         in_one_line(name)[:_LONGEST_TAG]: in_one_line(text)[:_LONGEST_TAG]
@@ -66,13 +64,7 @@ def origin_of(tags: dict[str, str]) -> dict[str, str]:
 
 
 def layer_names(paths: list[str]) -> dict[str, str]:
-    """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If two files have the same name.
-    """
+    """Return {name in URLs: path}; raise `InvalidHeightsError` for two files of one name."""
     names: dict[str, str] = {}
     for path in paths:
         stem = re.split(r"[/\\]", path.split("?")[0])[-1].rsplit(".", 1)[0]

@@ -40,7 +40,6 @@ ASK_SECONDS = 10
 TAKE_SECONDS = 60
 # Seconds for the next request: a page asks again at once, and whoever comes later connects again.
 IDLE_SECONDS = 5
-# Seconds that answers on their way are given when the server ends.
 _GRACE_SECONDS = 2
 _LOOK_SECONDS = 1.0
 # struct linger of two ints, on Windows of two shorts: on, for no second.
@@ -100,7 +99,6 @@ class Connection(H11Protocol):
 
 
 def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
-    """Return the server that answers with `app`; `n_files` files are open while it runs."""
     config = uvicorn.Config(
         app,
         # Not httptools, where that is installed: its protocol is another class.
@@ -126,7 +124,6 @@ class _Server(uvicorn.Server):
 
 
 def _limited(n_files: int) -> type[Connection]:
-    """Return the class of connections, as many as there are handles for."""
     most = MAX_CONNECTIONS
     if resource is not None:
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -30,12 +30,10 @@ from terrainwave.globe.terrain_rgb import Look
 _N_TILES = 32
 # Decoded heights that are kept of all files together, and of one at least.
 _CACHE_BYTES, _LEAST_CACHE_BYTES = 512 << 20, 16 << 20
-# Names that an answer lists.
 _N_NAMES = 10
 
 
 def version_of(*parts: object) -> str:
-    """Return a short text that changes with each of the parts."""
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
@@ -80,8 +78,6 @@ class Layer(Raster):
         self._rgb_tiles: Cache[tuple[Any, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
 
     def rgb_tile(self, z: int, x: int, y: int, rim: int, look: Look) -> tiling.RgbTile | None:
-        """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
-
         # In a tuple: a cache holds no None, which says here that there is no terrain.
         def make() -> tuple[tiling.RgbTile | None]:
             return (tiling.rgb_tile(self.globe, z, x, y, rim, look),)
@@ -90,7 +86,6 @@ class Layer(Raster):
         return tile
 
     def covering(self, z: int, x: int, y: int, rim: int, color: str, look: Look) -> bytes | None:
-        """Return the PNG that paints a tile's voids; None if it has none."""
         tile = self.rgb_tile(z, x, y, rim, look)
         voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
@@ -101,14 +96,9 @@ _Served = TypeVar("_Served", bound=Raster)
 
 
 def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[str, Layer]:
-    """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
+    """Return {name in URLs: file}; a warning names each file that cannot be served.
 
-    Raises
-    ------
-    TerrainwaveError
-        What is wrong with the first file, if none can be served.
-    InvalidHeightsError
-        If two files have the same name.
+    Raises the first file's error if none can be served.
     """
     layers: dict[str, Layer] = {}
     refused: list[TerrainwaveError] = []
@@ -130,27 +120,13 @@ def open_layers(paths: list[str], radius: float | None, vertical: str) -> dict[s
 
 
 class Shelf:
-    """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time.
-
-    Parameters
-    ----------
-    rasters : iterable of Raster
-        Those of the start.
-    """
+    """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time."""
 
     def __init__(self, rasters: Iterable[Raster]) -> None:
         self._rasters = {raster.name: raster for raster in rasters}
 
     def add(self, path: str) -> Raster:
-        """Serve one more file, under a name that no other has; not on the page.
-
-        From one thread at a time. A file that is added again is opened again.
-
-        Raises
-        ------
-        TerrainwaveError
-            If it cannot be opened.
-        """
+        """Serve one more file, under a name that no other has, not on the page; from one thread."""
         (stem,) = layer_names([path])
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))
         raster = Raster(next(name for name in names if name not in self._rasters), path)
@@ -171,7 +147,6 @@ class Shelf:
 
 
 def named(name: str, rasters: dict[str, _Served]) -> _Served:
-    """Return a raster; `HTTPException` 404 for an unknown name."""
     if name not in rasters:
         listed = [*islice(rasters, _N_NAMES), *(["…"] if len(rasters) > _N_NAMES else [])]
         raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(listed)}")

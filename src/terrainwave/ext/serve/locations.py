@@ -37,14 +37,6 @@ class Locations(NamedTuple):
 
 
 def locations_of(asked: Any, interpolation: Any = None) -> Locations:
-    """Return the places of a text ``lat,lon|lat,lon``, or of objects with latitude and longitude.
-
-    Raises
-    ------
-    BadLocationsError
-        If they are missing, too many, not numbers or off the globe, or if another interpolation
-        than bilinear is wanted.
-    """
     if interpolation not in (None, "bilinear"):
         raise BadLocationsError(f"found interpolation {shown(interpolation)}, expected bilinear")
     parts = asked.split("|") if isinstance(asked, str) else asked
@@ -61,7 +53,6 @@ def locations_of(asked: Any, interpolation: Any = None) -> Locations:
 
 
 def _pair_of(part: Any, number: int) -> tuple[float, float]:
-    """Return latitude and longitude of location `number`, counted from 1."""
     if isinstance(part, dict):
         pair = part.get("latitude"), part.get("longitude")
     elif isinstance(part, str) and (match := _PAIR.fullmatch(part)):
@@ -88,13 +79,6 @@ def _degrees(name: str, value: Any, most: int, number: int) -> float:
 
 
 async def read_body(stream: AsyncIterator[bytes]) -> bytes:
-    """Return the body of a request.
-
-    Raises
-    ------
-    HTTPException
-        413 if it is longer than MAX_BODY, 408 if it takes more than `ASK_SECONDS`.
-    """
     body = bytearray()
     try:
         async with asyncio.timeout(client_limits.ASK_SECONDS):
@@ -110,13 +94,6 @@ async def read_body(stream: AsyncIterator[bytes]) -> bytes:
 
 
 def fields_of(body: bytes, media_type: str) -> dict[str, Any]:
-    """Return the fields of a body: an object in JSON, or a form by its media type.
-
-    Raises
-    ------
-    BadLocationsError
-        If it is neither.
-    """
     try:
         if media_type.split(";")[0].strip().lower() == "application/x-www-form-urlencoded":
             return {name: values[-1] for name, values in parse_qs(body.decode()).items()}

@@ -8,5 +8,4 @@ _log = logging.getLogger(__name__)
 
 @lru_cache(1000)
 def warn_once(line: str) -> None:
-    """Log a warning, unless it is one of the last thousand."""
     _log.warning("%s", line)

@@ -8,13 +8,12 @@ from urllib.parse import urlsplit
 
 from fastapi.responses import JSONResponse
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from terrainwave.errors import InvalidArgumentError
 
 Network = IPv4Network | IPv6Network
 
-# Proxies on this machine.
 _LOOPBACK: tuple[Network, ...] = (IPv4Network("127.0.0.0/8"), IPv6Network("::1"))
 _HOST = re.compile(r"(?P<name>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
 # Without "%": a path that is decoded once more than it is checked could have other parts.
@@ -34,13 +33,6 @@ class PublicUrl(NamedTuple):
 
 
 def public_url(text: str) -> PublicUrl:
-    """Return an address that a user gives.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not http or https with a host and, at most, a path.
-    """
     try:
         parts = urlsplit(text)
     except ValueError:  # brackets that do not pair, or hold no address
@@ -56,13 +48,6 @@ def public_url(text: str) -> PublicUrl:
 
 
 def network_of(text: str) -> Network:
-    """Return the network of an address such as 10.0.0.7 or 10.0.0.0/8.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither.
-    """
     try:
         return ip_network(text, strict=False)
     except ValueError as error:
@@ -76,15 +61,8 @@ class Proxied:
     """Replaces scheme, host and path of requests by those that a trusted proxy forwards.
 
     A trusted proxy is on this machine, or at one of `proxies`. The headers are X-Forwarded-Proto,
-    -Host and -Prefix; those of all other clients are ignored. If a header has several values, the
-    last one counts: the trusted proxy wrote it.
-
-    Parameters
-    ----------
-    app : ASGIApp
-        It checks the host again.
-    proxies : iterable of Network
-        Trusted besides this machine.
+    -Host and -Prefix; those of all other clients are ignored. Of several values, the last counts:
+    the trusted proxy wrote it. `app` checks the host again.
     """
 
     def __init__(self, app: ASGIApp, proxies: Iterable[Network] = ()) -> None:
@@ -114,7 +92,6 @@ class Proxied:
 
 
 def _forwarded(headers: Headers) -> dict[str, str]:
-    """Return the last value of each header that a request has."""
     values = {name: headers.getlist(f"x-forwarded-{name}") for name in _EXPECTED}
     last = {name: found[-1].split(",")[-1].strip() for name, found in values.items() if found}
     return {name: value.rstrip("/") for name, value in last.items() if value}
@@ -141,3 +118,48 @@ def _as_forwarded(scope: Scope, forwarded: dict[str, str]) -> Scope:
 def _name_of(host: str) -> str:
     match = _HOST.fullmatch(host)
     return match["name"].lower() if match else host
+
+
+# Addresses that are answered in parts.
+_RANGED = (".tif", ".twz")
+
+# A page may use what comes with it and nothing else; workers of the map are blobs.
+_CONTENT_POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline';"
+    " script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+)
+
+
+def guards_of(*, cors: bool) -> dict[str, str]:
+    return {
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": _CONTENT_POLICY,
+        "Cross-Origin-Resource-Policy": "cross-origin" if cors else "same-origin",
+        "Referrer-Policy": "same-origin",
+    }
+
+
+class Guarded:
+    """Sends headers with every answer; takes ranges from requests for what is no raster.
+
+    Starlette would send some hundred pieces of a file of the page. Through a middleware of its own
+    kind each part of a body takes longer.
+    """
+
+    def __init__(self, app: ASGIApp, guards: dict[str, str]) -> None:
+        self._app = app
+        self._guards = guards
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers.update(self._guards)
+                # A server started anew may have another page and other terrains.
+                headers.setdefault("Cache-Control", "no-cache")
+            await send(message)
+
+        if scope["type"] == "http" and not scope["path"].endswith(_RANGED):
+            scope["headers"] = [item for item in scope["headers"] if item[0] != b"range"]
+        await self._app(scope, receive, send_guarded)

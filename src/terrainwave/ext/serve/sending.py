@@ -5,20 +5,61 @@ stopped, as GDAL does through a whole raster, so is what it will ask for next.
 """
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+import re
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
 from functools import partial
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from fastapi import HTTPException
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.ext.serve.byte_range import Span
+
+# Of more digits is no file; Python refuses to read some thousand of them.
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
+
+
+class Span(NamedTuple):
+    """Bytes ``start`` … ``stop`` - 1 of `size`, and whether the client asked for a part."""
+
+    start: int
+    stop: int
+    size: int
+    is_part: bool
+
+    @property
+    def headers(self) -> dict[str, str]:
+        headers = {"Accept-Ranges": "bytes", "Content-Length": str(self.stop - self.start)}
+        if self.is_part:
+            headers["Content-Range"] = f"bytes {self.start}-{self.stop - 1}/{self.size}"
+        return headers
+
+
+def asked_span(headers: Mapping[str, str], size: int, tag: str) -> Span | None:
+    """Return the range that a request asks for, all for none or several; None if beyond the end."""
+    whole = Span(0, size, size, is_part=False)
+    match = _RANGE.fullmatch(headers.get("range", "").replace(" ", ""))
+    if match is None or match[0] == "bytes=-" or headers.get("if-range", tag) != tag:
+        return whole
+    if not match[1]:
+        start, stop = max(size - int(match[2]), 0), size
+    else:
+        start = int(match[1])
+        stop = min(int(match[2]) + 1, size) if match[2] else size
+        if match[2] and int(match[2]) < start:  # not a range
+            return whole
+    return Span(start, stop, size, is_part=True) if start < stop else None
+
+
+def is_same(asked: str, tag: str) -> bool:
+    """Say whether an If-None-Match header names the version `tag`, a proxy's weak one too."""
+    names = (name.strip().removeprefix("W/") for name in asked.split(","))
+    return any(name in ("*", tag) for name in names)
+
 
 # Requests that wait for their turn: some seconds of work, after which a client would have given up.
 N_WAITING = 64
-# Bytes that are made at a time.
 PART = 1 << 20
 # Bytes that are made before they are asked for: as many as GDAL asks for at once.
 _AHEAD = 4 << 20
@@ -27,15 +68,7 @@ Read = Callable[[int, int], bytes]
 
 
 class Desk:
-    """Lets a bounded number of requests decode, or read, at a time.
-
-    A context manager that ends the threads.
-
-    Parameters
-    ----------
-    n_decoding : int
-        Threads that do it at once.
-    """
+    """Lets `n_decoding` requests decode, or read, at a time; a context manager."""
 
     def __init__(self, n_decoding: int) -> None:
         # Threads of their own: what one keeps to compute with, such as PROJ's, none other keeps.
@@ -44,13 +77,7 @@ class Desk:
         self._n_asked = 0
 
     async def do(self, work: Callable[..., Any], *args: Any, is_begun: bool = False) -> Any:
-        """Return ``work(*args)``, done in a thread; work for an answer that has begun waits.
-
-        Raises
-        ------
-        HTTPException
-            503 if too many requests wait already.
-        """
+        """Return ``work(*args)`` of a thread; 503 if too many wait, unless the answer has begun."""
         if not is_begun and self._n_asked >= self._n_decoding + N_WAITING:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
         self._n_asked += 1
@@ -73,13 +100,7 @@ class Desk:
 
 
 class Ahead:
-    """Has bytes made before they are asked for, where a client reads on; for one resource.
-
-    Parameters
-    ----------
-    read : callable
-        Makes bytes from a place on, and keeps what it made them of.
-    """
+    """Has bytes made before they are asked for, where a client reads on; for one resource."""
 
     def __init__(self, read: Read) -> None:
         self._read = read
@@ -87,11 +108,7 @@ class Ahead:
         self._task: asyncio.Task[None] | None = None
 
     def note(self, desk: Desk, span: Span) -> None:
-        """Take note that a span is nearly sent, and go on behind it if the client may.
-
-        It may if the span goes on from the last one, or if it is as long as the spans of a
-        client that reads the whole file.
-        """
+        """Go on behind a span that is nearly sent if the client reads on, or asks for long ones."""
         is_read_on = span.start == self._stop or span.stop - span.start >= _AHEAD
         self._stop = span.stop
         if is_read_on and (self._task is None or self._task.done()):
@@ -109,10 +126,7 @@ class Ahead:
 async def parts(
     desk: Desk, read: Read, span: Span, ahead: Ahead | None
 ) -> AsyncGenerator[bytes, None]:
-    """Yield the bytes of a span in parts small enough to take little time each.
-
-    Once the first has come, the others wait as long as they must: an answer cannot be taken back.
-    """
+    """Yield the bytes of a span in parts; once the first has come, the others wait."""
     n_bytes = span.stop - span.start
     making = asyncio.ensure_future(desk.do(read, span.start, min(PART, n_bytes)))
     try:
@@ -130,13 +144,7 @@ async def parts(
 
 
 async def begun(made: AsyncGenerator[bytes, None]) -> AsyncIterator[bytes]:
-    """Return the same parts; the first is made now, so that its errors become answers.
-
-    Raises
-    ------
-    HTTPException, TerrainwaveError
-        What the first one raises.
-    """
+    """Return the same parts; the first is made now, so that its errors become answers."""
     first = await anext(made)
 
     async def all_parts() -> AsyncIterator[bytes]:

@@ -12,17 +12,20 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
+from xml.etree import ElementTree
 
 import numpy as np
 import rasterio
 import rasterio.shutil
+from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning
+from rasterio.io import MemoryFile
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from terrainwave.container.spool import cannot_write
-from terrainwave.container.targets.publication import beside, publish, scratch
+from terrainwave.container.spool import cannot_write, storage_errors
+from terrainwave.container.targets.publication import beside, publish, remove_of_gdal, scratch
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.affine import IDENTITY
@@ -35,10 +38,16 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.raster_info import RasterInfo, stored_nodata
-from terrainwave.raster_io.tags import DOMAIN, PLAIN_COLORS, writable_tags
+from terrainwave.raster_io.raster_info import (
+    DOMAIN,
+    PLAIN_COLORS,
+    RasterInfo,
+    is_statistic,
+    stored_nodata,
+    writable_tags,
+)
+from terrainwave.raster_io.vrt import unreported
 
-# Side of a GeoTIFF's tile, in samples.
 TILE = 512
 
 # With fewer free bytes, a disk is tested by writing this many.
@@ -49,7 +58,6 @@ _SMALLEST_SHARE = 0.05
 
 
 def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
-    """Return rasterio's profile of a tiled GeoTIFF without compression."""
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "height": info.n_rows,
@@ -70,7 +78,6 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
 
 
 def band_tags_of(info: RasterInfo) -> dict[str, str]:
-    """Return the band's tags with the meaning of its numbers; own tags take precedence."""
     tags = dict(writable_tags(info.band_tags))
     if info.heights_are in (DEPTH, HEIGHT):
         tags = {name: value for name, value in tags.items() if name.lower() != POSITIVE}
@@ -79,7 +86,6 @@ def band_tags_of(info: RasterInfo) -> dict[str, str]:
 
 
 def write_description(dataset: Any, info: RasterInfo) -> None:
-    """Write a raster's metadata other than its profile."""
     dataset.update_tags(**dict(writable_tags(info.tags)))
     dataset.update_tags(1, **band_tags_of(info))
     color = info.color_interpretation
@@ -97,10 +103,7 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
 
 
 class _Threads:
-    """Number of threads that GDAL may compress with.
-
-    A fork does not copy GDAL's threads, and GDAL would wait for them forever.
-    """
+    """Number of threads that GDAL may compress with; after a fork it waits for them forever."""
 
     def __init__(self) -> None:
         self._are_there = self._are_gone = False
@@ -121,37 +124,15 @@ _THREADS = _Threads()
 
 
 class RasterSink:
-    """GeoTIFF written window by window; it appears complete or not at all.
+    """GeoTIFF written window by window; it appears complete or not at all. A context manager.
 
-    Parameters
-    ----------
-    path : path
-        The target; an existing one is refused without `overwrite`.
-    info : RasterInfo
-        Size, type and metadata of the file.
-    cog : bool
-        Make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
-    overwrite : bool
-        Replace an existing file.
-    n_threads : int
-        Threads that GDAL compresses with.
-    stated : mapping of str, optional
-        Items of the band's metadata, in `DOMAIN`. GDAL does not copy them into a COG.
-
-    Raises
-    ------
-    StorageError
-        If the target exists, its directory cannot be written, or the disk cannot hold it.
-
-    Notes
-    -----
-    Used as a context manager: leaving it normally publishes the file, leaving it by an exception
-    removes the unfinished file. Windows may come in any order, each sample once; windows of
-    `blocks` are the most efficient. If a nodata value marks voids, entirely void windows may be
-    left out: their tiles take no bytes. All windows are read back before the file is published,
-    because GDAL hides errors of its threads and of its last writes, and puts zeros in place of
-    failed tiles. Memory: one window and GDAL's cache. While a COG is made it needs twice the size
-    of the file on disk.
+    Windows may come in any order, each sample once; windows of `blocks` are the most efficient. If
+    a nodata value marks voids, entirely void windows may be left out: their tiles take no bytes.
+    All windows are read back before the file is published, because GDAL hides errors of its threads
+    and of its last writes, and puts zeros in place of failed tiles. Memory: one window and GDAL's
+    cache. While a COG is made, whose overviews are averages, it needs twice the size of the file on
+    disk. `stated` are items of the band's metadata, in `DOMAIN`, which GDAL does not copy into a
+    COG. Raises `StorageError` if the target exists, cannot be written, or the disk cannot hold it.
     """
 
     def __init__(
@@ -215,7 +196,6 @@ class RasterSink:
         return dataset
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
-        """Yield windows of whole tiles that cover the grid once, in file order."""
         info = self.info
         yield from scan_windows(info.n_rows, info.n_cols, TILE, TILE, max_samples)
 
@@ -249,7 +229,6 @@ class RasterSink:
             raise self._full_disk()
 
     def close(self) -> None:
-        """Finish the file and move it to its place."""
         with self._files:
             try:
                 with bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
@@ -268,7 +247,6 @@ class RasterSink:
                 raise self._cannot_write(error) from error
 
     def abort(self) -> None:
-        """Remove the unfinished file; the target is untouched."""
         with contextlib.suppress(*GDAL_ERRORS):
             self._dataset.close()
         with contextlib.suppress(_Aborted), self._files:
@@ -292,8 +270,7 @@ class RasterSink:
     def _check_complete(self, part: Path) -> None:
         """Raise StorageError unless every tile lies inside the file and holds what was written.
 
-        GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on a
-        full disk `close` succeeds.
+        GDAL writes the last tiles on closing, and rasterio ignores the result.
         """
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -348,7 +325,6 @@ def _is_full(folder: Path) -> bool:
 
 
 def _refusal(folder: Path) -> OSError | None:
-    """Return the system's error for a test write to a directory; None if it succeeds."""
     try:
         with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
             n_bytes = 0
@@ -361,3 +337,91 @@ def _refusal(folder: Path) -> OSError | None:
 
 class _Aborted(Exception):
     """Makes `publish` behave as after a failure."""
+
+
+SIDECAR = ".aux.xml"
+# Elements of a band that hold statistics.
+_MEASURED = ("Histograms", "Minimum", "Maximum")
+# Domains with a .twz file's own properties, which GDAL copies.
+_OF_TWZ = ("TERRAINWAVE", "json:TERRAINWAVE", "IMAGE_STRUCTURE")
+
+
+def read_place(path: str | os.PathLike[str]) -> tuple[CRS | None, str | None, float | None]:
+    with bounded_env(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path) as dataset:
+            epoch = unreported(dataset, 1).coordinate_epoch
+            return dataset.crs, dataset.units[0] or None, epoch
+
+
+def forget_measured(path: str | os.PathLike[str]) -> list[str]:
+    """Remove GDAL's statistics of a raster whose heights have changed; return notes.
+
+    The rest of the .aux.xml next to it stays; overviews are removed with their file.
+    """
+    notes = []
+    for name in sorted({os.path.realpath(path), os.path.abspath(path)}):
+        target = Path(f"{name}{SIDECAR}")
+        if not os.path.lexists(target):
+            continue
+        try:
+            content = ElementTree.parse(target).getroot()
+        except ElementTree.ParseError:
+            notes.append(f"{target.name} is no XML and may hold old statistics: removed")
+            content = ElementTree.Element("PAMDataset")
+        _drop_measured(content)
+        if len(content):
+            _write(target, content)
+        else:
+            remove_of_gdal(name, SIDECAR)
+    remove_of_gdal(path, ".ovr")
+    return notes
+
+
+def _drop_measured(element: Any) -> None:
+    for child in list(element):
+        _drop_measured(child)
+        is_domain = child.tag == "Metadata" and child.get("domain") in _OF_TWZ
+        is_value = child.tag == "MDI" and is_statistic(child.get("key", ""))
+        is_empty = child.tag in ("Metadata", "PAMRasterBand") and not len(child)
+        if is_domain or is_value or is_empty or child.tag in _MEASURED:
+            element.remove(child)
+
+
+def write_beside(
+    path: str | os.PathLike[str], crs: CRS, unit: str | None, epoch: float | None = None
+) -> None:
+    """Write CRS, epoch and unit of a raster's band to its .aux.xml, which GDAL reads first."""
+    target = Path(f"{os.fspath(path)}{SIDECAR}")
+    content = ElementTree.Element("PAMDataset")
+    system = _as_gdal_writes_it(crs)
+    if epoch is not None:
+        system.set("coordinateEpoch", repr(epoch))
+    content.append(system)
+    if unit is not None:
+        band = ElementTree.SubElement(content, "PAMRasterBand", band="1")
+        ElementTree.SubElement(band, "UnitType").text = unit
+    _write(target, content)
+
+
+def _write(target: Path, content: Any) -> None:
+    with publish(target, True) as part, storage_errors(f"cannot write {target}"):
+        part.file.write(ElementTree.tostring(content, encoding="utf-8"))
+
+
+def _as_gdal_writes_it(crs: CRS) -> Any:
+    """Return GDAL's element for a CRS, copied from the .aux.xml of a PNG."""
+    with tempfile.TemporaryDirectory() as directory, bounded_env(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        name = Path(directory) / "place.png"
+        profile = {"driver": "PNG", "width": 1, "height": 1, "count": 1, "dtype": "uint8"}
+        with rasterio.open(name, "w", crs=crs, **profile) as dataset:
+            dataset.write(np.zeros((1, 1, 1), dtype=np.uint8))
+        return ElementTree.parse(f"{name}{SIDECAR}").getroot().find("SRS")
+
+
+def crs_of_geotiff(head: bytes) -> CRS | None:
+    with bounded_env(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with MemoryFile(head) as memory, memory.open() as dataset:
+            return dataset.crs

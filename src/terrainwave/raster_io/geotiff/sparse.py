@@ -4,11 +4,13 @@ GDAL writes a sparse file, which has a head and no tiles; this module assigns co
 after the head to each directory's tiles. So GDAL writes all of a GeoTIFF's metadata.
 """
 
+import io
 import struct
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 import rasterio
@@ -21,8 +23,7 @@ from rasterio.windows import Window
 from terrainwave.errors import LimitExceededError
 from terrainwave.raster_io.gdal import bounded_env
 from terrainwave.raster_io.geotiff.sink import TILE, geotiff_profile, write_description
-from terrainwave.raster_io.raster_info import RasterInfo
-from terrainwave.raster_io.tags import DOMAIN
+from terrainwave.raster_io.raster_info import DOMAIN, RasterInfo
 
 # Tags of a directory (TIFF 6.0, sections 8 and 15) and the types of their values.
 _SUBFILE_TYPE, _WIDTH, _LENGTH, _BITS, _COMPRESSION = 254, 256, 257, 258, 259
@@ -56,7 +57,6 @@ class Plane(NamedTuple):
 
     @property
     def n_across(self) -> int:
-        """Return the number of tiles in a row."""
         return -(-self.shape[1] // self.tile)
 
     @property
@@ -65,7 +65,6 @@ class Plane(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """Return the offset after the last tile."""
         return self.start + self.n_tiles * self.tile_bytes
 
 
@@ -79,16 +78,10 @@ class _Entry(NamedTuple):
 def sparse_geotiff(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str]
 ) -> tuple[bytes, list[Plane]]:
-    """Return the head of a GeoTIFF and its planes, the coarsest first.
+    """Return the head of a GeoTIFF with some overviews, and its planes, the coarsest first.
 
-    Raises `LimitExceededError` if the head would be longer than some 100 MB.
-
-    Parameters
-    ----------
-    n_overviews : int
-        Overviews of half, a quarter, … of the size.
-    stated : mapping of str
-        Items of the band's metadata, in `DOMAIN`. Overviews do not have them.
+    `stated`: items of the band's metadata, in `DOMAIN`. Overviews do not have them. Raises
+    `LimitExceededError` if the head would be longer than some 100 MB.
     """
     tile = _tile_side(info)
     # Overviews and mask add less than half.
@@ -125,11 +118,7 @@ def _tile_side(info: RasterInfo) -> int:
 def _written_by_gdal(
     info: RasterInfo, n_overviews: int, stated: Mapping[str, str], is_big: bool, tile: int
 ) -> bytearray:
-    """Return a sparse file of a small raster, 2 << `n_overviews` samples per side.
-
-    Only the directories' own numbers depend on the size, and GDAL would visit all tiles of a large
-    one.
-    """
+    """Return a sparse file of 2 << `n_overviews` samples per side: GDAL visits all tiles."""
     side = 2 << n_overviews
     profile = geotiff_profile(replace(info, n_rows=side, n_cols=side)) | {
         "blockxsize": tile,
@@ -159,7 +148,6 @@ def _written_by_gdal(
 
 
 def _directories(head: bytearray, is_big: bool) -> Iterator[dict[int, _Entry]]:
-    """Yield the entries of each directory by tag, in file order."""
     link, count, entry_bytes, value_at = ("<Q", "<Q", 20, 12) if is_big else ("<I", "<H", 12, 8)
     (place,) = struct.unpack_from(link, head, 8 if is_big else 4)
     while place:
@@ -197,7 +185,6 @@ def _plane_of(fields: dict[int, _Entry], shift: int, shape: tuple[int, int]) -> 
 
 
 def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: bool) -> None:
-    """Set size and tile offsets of a plane in its directory."""
     offsets = plane.start + plane.tile_bytes * np.arange(plane.n_tiles, dtype=np.uint64)
     for tag, values in (
         (_LENGTH, np.array(plane.shape[:1])),
@@ -210,7 +197,6 @@ def _describe(head: bytearray, fields: dict[int, _Entry], plane: Plane, is_big: 
 
 
 def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bool) -> None:
-    """Set the values of an entry; several values are stored at the end of the head."""
     data = values.astype("<u8" if is_big else "<u4").tobytes()
     link = "<Q" if is_big else "<I"
     struct.pack_into("<H", head, entry.place + 2, 16 if is_big else 4)
@@ -221,3 +207,82 @@ def _put(head: bytearray, entry: _Entry, values: NDArray[np.integer], is_big: bo
     else:
         struct.pack_into(link, head, value_at, len(head))
         head += data
+
+
+# GDAL also looks for .aux.xml, .ovr and .msk files, which do not exist.
+_ENDINGS = (".tif", ".tiff")
+
+
+class Bytes(Protocol):
+    """Data that can be read at any offset, by several threads at once."""
+
+    @property
+    def size(self) -> int: ...
+
+    def read_at(self, place: int, n_bytes: int) -> bytes:
+        """Return `n_bytes` from byte `place` on, fewer at the end."""
+        ...
+
+
+class GeoTIFFStream(MemoryFile):  # type: ignore[misc]
+    """A GeoTIFF as a seekable binary file object; thread-safe.
+
+    ``rasterio.open(stream)`` reads only the requested parts, as a `MemoryFile` may open itself.
+    `opener` is for functions that take a path and an opener.
+    """
+
+    def __init__(self, file: Bytes) -> None:
+        super().__init__(ext=_ENDINGS[0])
+        self._file = file
+        self._place = 0
+        self._lock = threading.Lock()
+
+    def open(self, driver: str | None = None, sharing: bool = False, **options: Any) -> Any:
+        # A unique name: openers are identified by names.
+        name = self.name.rsplit("/", 1)[-1]
+        return rasterio.open(name, driver=driver, sharing=sharing, opener=self.opener, **options)
+
+    def opener(self, path: str, mode: str = "rb") -> "GeoTIFFStream":
+        """Return a stream of the same bytes: ``rasterio.open("dem.tif", opener=stream.opener)``."""
+        if not path.endswith(_ENDINGS) or "r" not in mode:
+            raise FileNotFoundError(path)
+        return GeoTIFFStream(self._file)
+
+    def __len__(self) -> int:
+        return self._file.size
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return False
+
+    def write(self, data: Any) -> NoReturn:  # noqa: ARG002, as files have it
+        raise io.UnsupportedOperation("a GeoTIFF that is made when it is read cannot be written")
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        with self._lock:
+            start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._file.size}
+            if whence not in start or start[whence] + offset < 0:
+                raise ValueError(f"cannot seek to {offset} from {whence}")
+            self._place = start[whence] + offset
+            return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def read(self, size: int | None = -1) -> bytes:
+        with self._lock:
+            left = max(self._file.size - self._place, 0)
+            n_bytes = left if size is None or size < 0 else min(size, left)
+            data = self._file.read_at(self._place, n_bytes)
+            self._place += len(data)
+            return data
+
+    def readinto(self, buffer: Any) -> int:
+        data = self.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)

@@ -42,10 +42,7 @@ class LabelledArray(NamedTuple):
 
 
 def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> LabelledArray:
-    """Return the only layer of heights in a DataArray; `source` is the object it was taken from.
-
-    Raises `InvalidArgumentError` if there is no such band.
-    """
+    """Return the only layer of heights in a DataArray, or its `band`, taken from `source`."""
     crs, notes = crs_of(array, source)
     roles = _roles(array, source)
     if len(roles) < 2:
@@ -70,9 +67,6 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Label
             )
         return LabelledArray(layer, IDENTITY, None, notes)
     return LabelledArray(layer, transform, format_crs(crs), notes)
-
-
-# Variable.
 
 
 def variable_of(source: Any) -> Any:
@@ -115,7 +109,6 @@ def variable_of(source: Any) -> Any:
 
 
 def _describing(dataset: Any) -> set[str]:
-    """Return the names of variables that only describe others: grid mappings, bounds of cells."""
     names = set()
     for variable in dataset.variables.values():
         for fields in (variable.attrs, variable.encoding):
@@ -124,11 +117,7 @@ def _describing(dataset: Any) -> set[str]:
     return names
 
 
-# Dimension.
-
-
 def _roles(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions x and y as far as stated, by the strongest sign."""
     roles = _by_accessor(array, source)
     for sign in (by_axis, by_standard_name, by_units, None, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}
@@ -152,7 +141,6 @@ def _roles(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
-    """Return the dimensions that rioxarray was given, or finds."""
     roles: dict[str, Any] = {}
     for owner in (array, source):
         accessor = getattr(owner, "rio", None)
@@ -166,7 +154,6 @@ def _by_accessor(array: Any, source: Any) -> dict[str, Any]:
 
 
 def _unnamed(array: Any, roles: dict[str, Any], *, may_guess: bool) -> dict[str, Any]:
-    """Return the roles of unnamed dimensions, by positions of samples or their order."""
     dims = tuple(dim for dim in array.dims if dim != "band")
     places = places_of(array)
     if places is not None:
@@ -198,7 +185,6 @@ def _how_to_tell(array: Any) -> str:
 
 
 def _only_layer(array: Any, roles: dict[str, Any], band: int) -> tuple[Any, list[str]]:
-    """Return the array with only x and y: the requested band, or the only one."""
     key: list[Any] = []
     notes: list[str] = []
     has_bands = False

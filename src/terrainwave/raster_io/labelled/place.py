@@ -25,7 +25,6 @@ from terrainwave.grid.affine import (
 )
 from terrainwave.place.crs import crs_of_grid_mapping, format_crs, parse_crs
 from terrainwave.place.description import describe_quietly
-from terrainwave.raster_io.labelled.packing import numbers_of
 from terrainwave.raster_io.labelled.signs import (
     NO_PLACE,
     coords_along,
@@ -34,6 +33,7 @@ from terrainwave.raster_io.labelled.signs import (
     places_of,
     title,
 )
+from terrainwave.raster_io.labelled.values import numbers_of
 
 # Metres per unit of projected coordinates; an angle has none.
 _METRES = (
@@ -47,7 +47,6 @@ _RADIANS = ("rad", "radian", "radians")
 
 
 def mapping_of(array: Any) -> dict[str, Any]:
-    """Return the attributes of the coordinate that holds CRS and transform."""
     name = mapping_name(array)
     return dict(array.coords[name].attrs) if name in array.coords else {}
 
@@ -85,7 +84,6 @@ def _plain_crs(told: Any) -> CRS | None:
 
 
 def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
-    """Return the CRS of a CF grid mapping without WKT."""
     try:
         return crs_of_grid_mapping(mapping), []
     except ImportError:
@@ -96,7 +94,6 @@ def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
 
 
 def stored_transform(array: Any) -> Transform | None:
-    """Return the transform stored with the CRS, in the order of `affine`."""
     text = str(mapping_of(array).get("GeoTransform", "")).split()
     if len(text) != 6:
         return None
@@ -115,7 +112,6 @@ class ToldTransform(NamedTuple):
 
 
 def told_transform(array: Any, source: Any) -> ToldTransform | None:
-    """Return the attribute `transform`, as stackstac writes it and rasterio orders it."""
     for owner in (array, source):
         attrs = getattr(owner, "attrs", {})
         value = attrs.get("transform")
@@ -215,8 +211,7 @@ def _without_coordinates(array: Any, told: ToldTransform) -> tuple[Transform | N
 def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform | None, list[str]]:
     """Return the transform of pixels of the attribute's size with these centres or corners.
 
-    None, with a note, if the coordinates belong to other pixels: averages of 2 x 2 centres look
-    like every second corner.
+    None, with a note, if the coordinates belong to other pixels.
     """
     shape = array.shape[0], array.shape[1]
     for shift in (0.0, -0.5):
@@ -235,7 +230,6 @@ def _by_told(array: Any, fitted: Transform, told: Transform) -> tuple[Transform 
 
 
 def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.generic] | None]:
-    """Return name and values of a dimension's coordinate."""
     for name, coord in coords_along(array, dim):
         centres = np.asarray(coord.values)
         if centres.dtype.kind in "iuf":
@@ -250,16 +244,12 @@ def _centres(array: Any, dim: Any, crs: CRS | None) -> tuple[str, NDArray[np.gen
 
 
 def _reader(places: tuple[Any, Any], dims: tuple[Any, Any]) -> Any:
-    """Return a function that returns x and y of some rows."""
     turned = [place.transpose(*dims) for place in places]
     return lambda row, n: tuple(place[row : row + n].values for place in turned)
 
 
 def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
-    """Raise `InvalidHeightsError` if a coordinate is in another unit than the CRS.
-
-    Attributes survive when somebody sets another CRS, so the numbers have to fit it.
-    """
+    """Raise `InvalidHeightsError` if numbers and unit of a coordinate do not fit the CRS."""
     unit = str(coord.attrs.get("units", "")).lower()
     if crs is None:
         if unit in _RADIANS:  # they would pass for degrees
@@ -290,7 +280,6 @@ def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
 
 
 def _check_even(array: Any, what: str, fit: Fit) -> None:
-    """Raise `InvalidHeightsError` unless coordinates follow their grid."""
     if fit.is_even:
         return
     how_far = (

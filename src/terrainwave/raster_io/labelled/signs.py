@@ -1,6 +1,7 @@
 """Signs that a coordinate of an array is x or y, and names of arrays in messages."""
 
 import re
+from functools import partial
 from typing import Any
 
 # Signs that a coordinate is x or y, strongest first: attributes of the CF conventions, names.
@@ -29,7 +30,6 @@ NO_PLACE = "take the heights without place and CRS by georeference=False"
 
 
 def title(array: Any) -> str:
-    """Return the name of an array for messages."""
     name = getattr(array, "name", None)
     return "the DataArray" if name is None else f"the DataArray {name}"
 
@@ -43,7 +43,6 @@ def mapping_name(array: Any) -> str:
 
 
 def sizes_of(array: Any) -> str:
-    """Return dimensions and their sizes, in words."""
     return ", ".join(f"{dim} ({size})" for dim, size in zip(array.dims, array.shape))
 
 
@@ -57,19 +56,14 @@ def coords_along(array: Any, dim: Any) -> list[tuple[Any, Any]]:
     return sorted(found, key=lambda pair: pair[0] != dim)
 
 
-def by_axis(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by CF's attribute `axis`."""
-    return _said(coord.attrs.get("axis"), _AXIS)
+def _by(attribute: str, table: dict[str, set[str]], _: Any, coord: Any) -> list[str]:
+    """Return the roles by an attribute of a coordinate."""
+    return _said(coord.attrs.get(attribute), table)
 
 
-def by_standard_name(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by CF's `standard_name`."""
-    return _said(coord.attrs.get("standard_name"), _STANDARD_NAMES)
-
-
-def by_units(_name: Any, coord: Any) -> list[str]:
-    """Return the roles by units of longitude and latitude."""
-    return _said(coord.attrs.get("units"), _UNITS)
+by_axis = partial(_by, "axis", _AXIS)
+by_standard_name = partial(_by, "standard_name", _STANDARD_NAMES)
+by_units = partial(_by, "units", _UNITS)
 
 
 def by_name(name: Any, _coord: Any) -> list[str]:
@@ -84,10 +78,7 @@ def _said(text: Any, table: dict[str, set[str]]) -> list[str]:
 
 
 def places_of(array: Any) -> tuple[Any, Any] | None:
-    """Return the coordinates with an x and a y for each sample, as rotated and curved grids have.
-
-    Projected ones first: there may be longitudes and latitudes as well.
-    """
+    """Return the coordinates with x and y of each sample, if any, rather projected ones."""
     both = [coord for coord in array.coords.values() if len(tuple(getattr(coord, "dims", ()))) == 2]
     for sign in (by_standard_name, by_axis, by_units, by_name):
         found: dict[str, list[Any]] = {"x": [], "y": []}
@@ -102,6 +93,5 @@ def places_of(array: Any) -> tuple[Any, Any] | None:
 
 
 def is_degrees(coord: Any) -> bool:
-    """Return whether a coordinate's attributes mark it as longitude or latitude."""
     name = str(coord.attrs.get("standard_name")).lower()
     return bool(by_units("", coord)) or name in ("longitude", "latitude")

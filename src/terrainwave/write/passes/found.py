@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass, field
 from typing import Any, NamedTuple
 
 from terrainwave.codec.refiner import Decoded, Heights
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.writer import SpoolSink
 from terrainwave.grid.block_stats import BlockStats
 from terrainwave.grid.quadtree import Block, Region
 

@@ -16,7 +16,7 @@ from terrainwave._version import __version__
 from terrainwave.container.targets.kept import Kept, kept_directory
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.raster_io.files import stamps_of
+from terrainwave.raster_io.dataset import stamps_of
 from terrainwave.write.passes.found import Found
 
 _log = logging.getLogger(__name__)

@@ -12,11 +12,11 @@ from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.shared_lines import shared_samples
 from terrainwave.codec.unit_specs import block_of_unit
-from terrainwave.container.codes import decode_error, encode_error
 from terrainwave.container.digests import DigestTree, tile_digests
 from terrainwave.container.header import HAS_CORRECTIONS, HAS_VOIDS, Header
 from terrainwave.container.metadata import EARLIER, without_origin
-from terrainwave.container.spool_sink import SpoolSink
+from terrainwave.container.page import decode_error, encode_error
+from terrainwave.container.writer import SpoolSink
 from terrainwave.errors import BoundViolationError, CorruptStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region

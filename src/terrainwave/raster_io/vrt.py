@@ -1,37 +1,60 @@
-"""Rasters whose heights depend on the windows that are read, found by the XML of VRTs.
+"""GDAL's XML of datasets: warped rasters, and facts that only the XML states.
 
 For each window GDAL's warper uses an approximation of the transformation, within a tolerance, by
-default 0.125 pixels. With nearest neighbours a sample can then come from another pixel. Resampled
-sources of a VRT differ by the rounding of floats.
+default 0.125 pixels. With nearest neighbours a sample can then come from another pixel. So heights
+of warped rasters depend on the windows that are read. Resampled sources of a VRT differ by the
+rounding of floats.
 """
 
+import math
 import os
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import rasterio
+import rasterio.shutil
+from rasterio.io import MemoryFile
 from rasterio.vrt import WarpedVRT
 
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env
-from terrainwave.raster_io.vrt import path_of, rectangles_of, text_of
 
 _HEAD = b"<VRTDataset"
 # A file may begin with a byte order mark and an XML declaration.
 _HEAD_BYTES = 256
-# Largest VRT, in bytes, that is searched.
 _MOST_BYTES = 1 << 27
-# Largest depth of nested VRTs that are searched.
 _MOST_NESTED = 8
 _NAMES = ("SourceFilename", "SourceDataset")
 _DEPENDS = (
     "so its heights depend on the windows that are read; the bound holds for those that were read"
     " here, not for what other reads find"
 )
+_TABLE = "its raster attribute table"
+_OTHERS = {"GDALRasterAttributeTable": _TABLE, "CategoryNames": "its category names"}
+# Esri's attribute table of a raster, which only newer versions of GDAL read.
+_ESRI_TABLE = ".vat.dbf"
+
+
+def text_of(dataset: Any) -> str:
+    return "".join(dataset.tags(ns="xml:VRT").values())
+
+
+def rectangles_of(source: ET.Element, default: float) -> list[list[float]]:
+    """Return the stated rectangles that a source copies from and to: (row, col, n_rows, n_cols)."""
+    return [
+        [float(one.get(name, default)) for name in ("yOff", "xOff", "ySize", "xSize")]
+        for one in map(source.find, ("SrcRect", "DstRect"))
+        if one is not None
+    ]
+
+
+def path_of(element: ET.Element, folder: str) -> str:
+    name = element.text or ""
+    return os.path.join(folder, name) if element.get("relativeToVRT", "0") == "1" else name
 
 
 def is_warped(dataset: Any) -> bool:
-    """Return True for a VRT that is warped when it is read, exactly or not."""
     return "VRTWarpedDataset" in text_of(dataset)[:1000]
 
 
@@ -114,7 +137,6 @@ def _kind_of(dataset: Any, seen: set[str], depth: int) -> str | None:
 
 
 def _own_kinds(root: ET.Element) -> Iterator[str]:
-    """Yield how a VRT itself, without its sources, depends on windows."""
     for transformer in root.iter("ApproxTransformer"):
         if float(transformer.findtext("MaxError", "0")) > 0:
             yield "warped"
@@ -139,3 +161,50 @@ def _may_be_vrt(name: str) -> bool:
             return _HEAD in file.read(_HEAD_BYTES)
     except (OSError, ValueError):
         return ".vrt" in lower
+
+
+class Unreported(NamedTuple):
+    """The epoch of a raster's CRS, and other unreported facts about a band, in words."""
+
+    coordinate_epoch: float | None = None
+    others: tuple[str, ...] = ()
+
+
+def unreported(dataset: Any, band: int) -> Unreported:
+    try:
+        root = ET.fromstring(_vrt_of(dataset))
+    except (*GDAL_ERRORS, ET.ParseError, UnicodeError):
+        return Unreported()
+    srs, epoch = root.find("SRS"), None
+    if srs is not None:
+        epoch = _year(srs.get("coordinateEpoch", ""))
+    own = root.findall("VRTRasterBand")[band - 1 : band]
+    others = [
+        words for tag, words in _OTHERS.items() if any(one.find(tag) is not None for one in own)
+    ]
+    if _TABLE not in others and _has_esri_table(str(dataset.name)):
+        others.append(_TABLE)
+    return Unreported(epoch, tuple(others))
+
+
+def _vrt_of(dataset: Any) -> str:
+    if dataset.driver == "VRT":
+        return text_of(dataset)
+    with bounded_env(), MemoryFile(ext=".vrt") as memory:
+        rasterio.shutil.copy(dataset, memory.name, driver="VRT")
+        return bytes(memory.read()).decode()
+
+
+def _year(text: str) -> float | None:
+    try:
+        year = float(text)
+    except ValueError:
+        return None
+    return year if math.isfinite(year) and year > 0 else None
+
+
+def _has_esri_table(name: str) -> bool:
+    try:
+        return Path(name + _ESRI_TABLE).is_file()
+    except (OSError, ValueError):
+        return False
