@@ -76,10 +76,7 @@ class TerrainFile(DescribedFile):
 
     Notes
     -----
-    Thread-safe. Picklable if opened by path or URL. A context manager. Methods raise
-    `InvalidArgumentError` if an argument is out of range, `LimitExceededError` if a result would be
-    larger than `max_bytes`, and `CorruptStreamError`, which names the block, for damage that is not
-    masked.
+    Thread-safe. Picklable if opened by path or URL. A context manager.
     """
 
     def close(self) -> None:
@@ -113,7 +110,13 @@ class TerrainFile(DescribedFile):
 
     @property
     def is_native(self) -> bool:
-        """True if the native library reads heights: installed, compatible, and not turned off."""
+        """True if the native library reads heights: installed, compatible, and not turned off.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If ``TERRAINWAVE_NATIVE`` is neither 0 nor 1.
+        """
         return self._library() is not None
 
     def _library(self) -> "Library | None":
@@ -185,6 +188,15 @@ class TerrainFile(DescribedFile):
             sample is within `effective_error` of the original. For floats on a decimal grid (0.1,
             0.01 …) this holds for the decimal numbers; the floats nearest to them may differ by one
             float spacing more (`Info.float_error`), unless the file was made with `strict`.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If an argument is out of range or the window misses the level.
+        LimitExceededError
+            If the result would be larger than `max_bytes`.
+        CorruptStreamError
+            If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
         on_error = self._checked_reading(on_error, voids)
         check_choice("resampling", resampling, RESAMPLING)
@@ -271,7 +283,7 @@ class TerrainFile(DescribedFile):
         on_error: str | None = None,
         voids: str = EXACT,
     ) -> EarlyHeights:
-        """Return the best heights of a window for a number of bits per sample; only of cdf53.
+        """Return the best heights of a window for a number of bits per sample.
 
         Parameters
         ----------
@@ -280,6 +292,12 @@ class TerrainFile(DescribedFile):
         quality : float
             Bits per sample of the window to read from payloads; > 0. The heads of all tiles in the
             window are always read.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If the file is not of method cdf53, the only one whose streams can be read in part, or
+            if `quality` is out of range.
         """
         on_error = self._checked_reading(on_error, voids)
         quality = checked_number("quality", quality, above=0)
@@ -356,6 +374,13 @@ class TerrainFile(DescribedFile):
         -------
         heights : ndarray of float64, shape (n_points,)
             NaN outside the outermost samples and where a sample needed is void.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If the level does not exist.
+        CorruptStreamError
+            If a block is damaged.
         """
         index = self.level_index(level)
         heights = self._heights_inside(index, rows, cols, voids)
@@ -419,6 +444,11 @@ class TerrainFile(DescribedFile):
         It identifies all decoded heights of the full grid, the voids, and the position of the
         heights: size, type, CRS, transform, units, scale and offset (FORMAT.md §4.9). It does not
         depend on the coding of the file. Nothing is decoded: `verify` compares heights with it.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the digests are damaged.
         """
         tree = self.container.digests()
         return None if tree is None else tree.root(self.header)

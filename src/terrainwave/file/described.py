@@ -189,7 +189,13 @@ class DescribedFile:
         return self.header.quanta_error * abs(self._raster.scale)
 
     def level_index(self, level: int) -> int:
-        """Return `level` counted from 0; negative ones count from the full grid, as Python does."""
+        """Return `level` counted from 0; negative levels count from the full grid, as Python does.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If there is no such level.
+        """
         n = self.n_levels
         names = f"0 (coarsest) to {n - 1}, or -1 (full grid) to -{n}"
         if n == 1:
@@ -222,6 +228,11 @@ class DescribedFile:
             Resolution level, as in `read`.
         window : optional
             A window as in `read`, but not clipped.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If there is no such level, or `window` is not a window.
         """
         row, col = 0, 0
         if window is not None:
@@ -346,7 +357,13 @@ class DescribedFile:
     def region(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
     ) -> Region:
-        """Return the part of a level that a window or bounds name, clipped to the level."""
+        """Return the part of a level that a window or bounds name, clipped to the level.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If both are given, one is malformed, or they miss the level.
+        """
         return self.checked_window(window, bounds=bounds, level=level).region
 
     def checked_window(
