@@ -83,11 +83,6 @@ class GlobeWay:
         """Return (longitude, latitude in degrees, height in metres) of points in the CRS.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If a point has no position there, or its height cannot be converted.
         """
         placed = points.copy()
         placed[:, :2] = self.place.to_lonlat(points[:, :2])
@@ -119,13 +114,7 @@ def mesh_unit(mesh: MeshData) -> HeightUnit:
 def way_onto_globe(
     mesh: MeshData, place: Place, vertical: str = AS_IS, z_scale: float = 1.0
 ) -> GlobeWay:
-    """Return the conversion of a mesh's points to the globe.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the heights cannot be converted, or samples lie at impossible positions.
-    """
+    """Return the conversion of a mesh's points to the globe."""
     if "impossible" in mesh.attributes:
         raise InvalidHeightsError(mesh.attributes["impossible"])
     unit = mesh_unit(mesh)
@@ -185,14 +174,9 @@ def rises(corners: Numbers, ellipsoid: Ellipsoid) -> tuple[Numbers, Numbers]:
 def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
     """Return a mesh whose edges are halved until the globe's curvature keeps to its share.
 
-    The share is the mesh's attribute ``curvature``; a mesh without it is not changed. New vertices
-    lie on the mesh's own triangles, so its error does not change. A budget of triangles may end the
-    division.
-
-    Parameters
-    ----------
-    mesh : MeshData
-        In the coordinates of its CRS, without walls.
+    The mesh is in the coordinates of its CRS, without walls. The share is its attribute
+    ``curvature``; a mesh without it is not changed. New vertices lie on the mesh's own triangles,
+    so its error does not change. A budget of triangles may end the division.
     """
     share: CurvatureShare | None = mesh.attributes.get("curvature")
     if share is None:

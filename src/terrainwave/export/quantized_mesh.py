@@ -100,15 +100,7 @@ def _metres(mesh: MeshData) -> float:
 
 
 def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
-    """Encode a mesh as one tile.
-
-    Parameters
-    ----------
-    globe : GeographicMesh
-        A mesh inside `bounds`.
-    bounds : (west, south, east, north)
-        Of the tile, in degrees.
-    """
+    """Encode a mesh as one tile of some bounds around it: west, south, east, north, in degrees."""
     used, triangles = in_order_of_use(globe.mesh.triangles)
     points = globe.mesh.points[used]
     quantized, rounding, low, high = _quantize(points, triangles, bounds)

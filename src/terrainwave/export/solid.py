@@ -18,27 +18,11 @@ _HALVINGS = 20
 def solidify(mesh: MeshData, base: float) -> MeshData:
     """Close the mesh with walls along all its borders, those of voids too, and a flat base.
 
-    The base has the triangles of the surface, turned over. Where two parts of the surface touch
-    only in one vertex, the vertex is doubled and moved a little into each: otherwise the vertical
-    edge below it would belong to four walls.
-
-    Parameters
-    ----------
-    mesh : MeshData
-        Counter-clockwise seen from above.
-    base : float
-        Height of the base in the file's unit; below the lowest vertex.
-
-    Returns
-    -------
-    mesh : MeshData
-        ``attributes["solid"]`` holds ``base``, ``n_triangles`` (of the surface, which come first),
-        and ``moved``, the largest shift of a doubled vertex in units of the CRS.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the mesh is empty or `base` is not below it.
+    The base, at a height below the lowest vertex, has the triangles of the surface, turned over.
+    Where two parts of the surface touch only in one vertex, the vertex is doubled and moved a
+    little into each: otherwise the vertical edge below it would belong to four walls.
+    ``attributes["solid"]`` holds ``base``, ``n_triangles`` (of the surface, which come first), and
+    ``moved``, the largest shift of a doubled vertex in units of the CRS.
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
@@ -77,19 +61,8 @@ class Skirts(NamedTuple):
 def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> MeshData:
     """Hang walls from all borders of a mesh, those of voids too: they hide gaps to other meshes.
 
-    Parameters
-    ----------
-    mesh : MeshData
-        Counter-clockwise seen from above.
-    depth : float
-        Height of the walls in the file's unit; > 0.
-    is_downward : bool
-        Heights are depths: lower points have larger ones.
-
-    Returns
-    -------
-    mesh : MeshData
-        ``attributes["skirts"]`` holds its `Skirts`.
+    Heights that are depths (`is_downward`) are larger at lower points. ``attributes["skirts"]``
+    holds its `Skirts`.
     """
     starts, ends = border_edges(mesh.triangles).T
     above, places = np.unique(np.concatenate([starts, ends]), return_inverse=True)

@@ -173,13 +173,7 @@ def write_pmtiles(
 
 
 def _checked_zooms(globe: Globe, first: int, last: int | None, tile_size: int) -> range:
-    """Return the zooms to write.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the range is empty, or their pixels are smaller than the raster's.
-    """
+    """Return the zooms to write."""
     finest = tiling.max_zoom(globe, tile_size)
     expected = f"0 … {finest}: pixels of the last are no larger than the raster's"
     if last is None:

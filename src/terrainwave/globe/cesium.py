@@ -127,15 +127,7 @@ class TilePyramid(TileScheme):
     def tile(self, zoom: int, x: int, y: int) -> TileMesh | None:
         """Return a tile; None if it does not exist.
 
-        Parameters
-        ----------
-        zoom, x, y : int
-            x counts from longitude -180 eastwards, y from latitude -90 northwards.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a block is damaged.
+        x counts from longitude -180 eastwards, y from latitude -90 northwards.
         """
         if not any(tiles.contains(x, y) for tiles in self.available(zoom)):
             return None

@@ -82,18 +82,8 @@ class Extent(NamedTuple):
 class Globe:
     """A terrain in longitude and latitude in degrees, heights in metres.
 
-    Rasters of the Earth are on WGS 84, others on the datum of their own CRS.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe, or an impossible one.
+    Rasters of the Earth are on WGS 84, others on the datum of their own CRS, or on a sphere of
+    `radius` metres. Raises `InvalidHeightsError` if the raster has no possible position there.
     """
 
     def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
@@ -131,10 +121,7 @@ class Globe:
     def to_samples(self, lon: Numbers, lat: Numbers) -> Places:
         """Return fractional rows and columns of the full grid; NaN outside the raster's pixels.
 
-        Parameters
-        ----------
-        lon, lat : ndarray of float64, shape (n_places,)
-            Degrees; each result depends only on its point.
+        Each depends only on its point, in degrees.
         """
         if self._place.is_lonlat:
             return self._to_samples(lon, lat)
@@ -259,13 +246,8 @@ class Globe:
     def heights_at(self, rows: Numbers, cols: Numbers, level: int) -> tuple[Numbers, Window | None]:
         """Return the bilinear heights of a level at positions of `to_samples`, and the window read.
 
-        Returns
-        -------
-        heights : ndarray of float64, shape (n_places,)
-            Metres; NaN at positions that are NaN, and where a sample needed is void. Each depends
-            only on its position.
-        window : Window or None
-            The samples that the heights come from; None if no position is in the raster.
+        Metres; NaN at positions that are NaN, and where a sample needed is void. Each depends only
+        on its position. The window is None if no position is in the raster.
         """
         heights = np.full(rows.shape, np.nan)
         inside = np.isfinite(rows)
@@ -295,12 +277,9 @@ class Globe:
         return heights, window
 
     def sample(self, lon: Numbers, lat: Numbers) -> Numbers:
-        """Return bilinear heights of the full grid at places in degrees.
+        """Return bilinear heights of the full grid at places in degrees, metres.
 
-        Returns
-        -------
-        heights : ndarray of float64, shape (n_places,)
-            Metres; NaN outside the raster's pixels and where a sample needed is void.
+        NaN outside the raster's pixels and where a sample needed is void.
         """
         rows, cols = self.to_samples(lon, lat)
         heights = self.terrain.heights_at(rows, cols, is_round=self.is_whole_turn)
@@ -362,13 +341,7 @@ class Globe:
     # Above the ellipsoid
 
     def onto_ellipsoid(self) -> EllipsoidalHeights:
-        """Return the conversion of the file's heights to the globe's ellipsoid.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
-        """
+        """Return the conversion of the file's heights to the globe's ellipsoid."""
         if self.has_radii:
             return EllipsoidalHeights.of_radii(self._place)
         return onto_wgs84(self._place, self.terrain.bounds)

@@ -226,15 +226,7 @@ class _Extractor(Generic[Made]):
             yield block, meshed
 
     def _mesh_within(self, error: Fraction, n_most: int | None = None) -> Made:
-        """Return the mesh for an error in quanta.
-
-        Raises
-        ------
-        _UnreachableError
-            If a coarse level cannot keep to it.
-        _TooManyTrianglesError
-            If it has more than `n_most` triangles; the rest is not built.
-        """
+        """Return the mesh for an error in quanta."""
         level, are_nested = self._area.level, self._terrain.pyramid == "nested"
         samples_of = self._fitter.samples_of
         cut = ErrorCut(self._area, self._errors, error, samples_of, are_nested=are_nested)

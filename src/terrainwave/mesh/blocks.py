@@ -192,13 +192,8 @@ class BlockMesher:
 
         It is the block's own error, which includes the loss, plus the tolerance, in 1/16 quanta;
         known without making the mesh. None if measuring may give much less: for originals so alike
-        that the block may have one height, and if the mask does not decide whether it has a mesh.
-        Also None for kinds whose tolerance is not a bound.
-
-        Parameters
-        ----------
-        heights, mask : ndarray, shape (n_rows, n_cols)
-            The block's originals, or some of them, in quanta.
+        that the block may have one height, and if the mask, that of `heights` or a part of them,
+        does not decide whether it has a mesh. Also None for kinds whose tolerance is not a bound.
         """
         if self.kind in UNBOUNDED_MESHES or not has_triangles(mask):
             return None
@@ -251,13 +246,7 @@ class BlockMesher:
         return triangulate(*samples, lines, tolerance, leash=int(_LEASH * tolerance))
 
     def mesh(self, block: Block) -> BlockMesh:
-        """Return the block's stored mesh; positions count from the block's first sample.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the stored bytes of the mesh are damaged.
-        """
+        """Return the block's stored mesh; positions count from the block's first sample."""
         if self.kind in STORED_KINDS:
             return self._stored_mesh(block, self.stored_samples(block))
         samples = self.samples(block)

@@ -24,11 +24,8 @@ from terrainwave.tri.zerotree.labels import Trees
 class LooseMesher:
     """Meshes without a guarantee of blocks above the finest level of a file.
 
-    Parameters
-    ----------
-    n_steps : int
-        How often the threshold of significant details of decoded layers is multiplied by three
-        quarters.
+    The threshold of significant details of decoded layers is multiplied by three quarters `n_steps`
+    times.
     """
 
     def __init__(self, file: TerrainFile, n_steps: int = 0) -> None:

@@ -62,13 +62,7 @@ class MeshData:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """Return (left, bottom, right, top) of the vertices in the CRS.
-
-        Raises
-        ------
-        ValueError
-            If the mesh has no vertex.
-        """
+        """Return (left, bottom, right, top) of the vertices in the CRS."""
         if not self.n_vertices:
             raise ValueError("the mesh is empty: it has no bounds")
         low, high = self.points.min(axis=0), self.points.max(axis=0)

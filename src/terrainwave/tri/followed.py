@@ -102,24 +102,11 @@ class FollowingMesh(ABC, Generic[Frame]):
     ) -> Followed:
         """Go on to a view, which suffices if the GPU moves vertices itself.
 
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to where they merge while their errors are τ / λ … τ. 1: they
-            jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. What is around the eye
-            is divided in any case.
-        is_stepwise : bool
-            Of a `DynamicMesh`: change by one height at most, as in the paper, except for the first
-            view and if the budget requires more; the mesh may lag behind the view.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
+        `tau` is the largest error on screen in pixels, > 0. Vertices move to where they merge while
+        their errors are τ / λ … τ, λ = `morph` >= 1. τ is raised until at most `max_vertices`, at
+        least `least_vertices`, are left; what is around the eye is divided in any case.
+        `is_stepwise`, of a `DynamicMesh`: change by one height at most, as in the paper, except for
+        the first view and if the budget requires more; the mesh may lag behind the view.
         """
         if not tau > 0 or not morph >= 1:
             raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")

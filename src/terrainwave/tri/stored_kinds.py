@@ -131,13 +131,7 @@ class StoredRqt:
         return self.mesh(samples, tolerance, b"")
 
     def mesh(self, samples: StoredSamples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh with the border vertices of the block itself and of `data`.
-
-        Raises
-        ------
-        CorruptStreamError
-            If `encode` does not write `data`.
-        """
+        """Return the mesh with the border vertices of the block itself and of `data`."""
         heights, mask = samples.heights, samples.mask
         selection = _select(samples, tolerance, samples.locked)
         if data:

@@ -23,13 +23,7 @@ _NARROW = 16
 
 
 def check_block(heights: NDArray[Any], mask: NDArray[np.bool_]) -> None:
-    """Check that heights and mask meet the requirements of this package's kernels.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are empty or larger than MAX_SIDE.
-    """
+    """Check that heights and mask meet the requirements of this package's kernels."""
     if heights.ndim != 2 or heights.shape != mask.shape:
         raise ValueError(f"heights {heights.shape} and mask {mask.shape} must be 2-D and alike")
     if not (1 <= min(heights.shape) and max(heights.shape) <= MAX_SIDE):

@@ -35,13 +35,7 @@ _DRAPE_SHARE = 4
 
 
 def create_context() -> Any:
-    """Return an OpenGL 3.3 core context without a window.
-
-    Raises
-    ------
-    TerrainwaveError
-        If moderngl or a driver is missing; the message says what to install.
-    """
+    """Return an OpenGL 3.3 core context without a window."""
     moderngl = need("moderngl", extra="view", purpose="drawing")
     problems = []
     backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})

@@ -63,13 +63,7 @@ void main() {
 
 
 class FrontStore:
-    """`PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
-
-    Parameters
-    ----------
-    max_bytes : int
-        For slopes and all memory of patches.
-    """
+    """`PieceStore` of the slopes of patches, a layer each; `max_bytes` is for their meshes, too."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         self._context, self._max_bytes = context, max_bytes

@@ -52,15 +52,8 @@ void main() { fragment = color; }
 def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[np.float32]:
     """Return triangles of a line through pixels (y down), and of a dot at each end.
 
-    Parameters
-    ----------
-    pixels : ndarray of float64, shape (n, 2)
-        NaN behind the eye, where the line has a gap.
-
-    Returns
-    -------
-    corners : ndarray of float32, shape (m, 2)
-        In OpenGL's coordinates; three per triangle.
+    NaN, behind the eye, is a gap in the line. The
+    corners, float32 (m, 2) in OpenGL's coordinates, are three per triangle.
     """
     known = pixels[~np.isnan(pixels).any(axis=1)]
     if not len(known):

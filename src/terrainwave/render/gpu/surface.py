@@ -26,11 +26,6 @@ class Surface(ABC):
 
     The renderer sets the uniforms that `program` has, binds ramp and drape, sets depth test,
     wireframe and clip distances, and calls `submit`.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
     """
 
     n_clip_distances: ClassVar[int]

@@ -66,13 +66,7 @@ def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
 
 
 def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
-    """Return the water of a terrain; reads one level of at most 1025 samples a side.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the coarsest level is damaged.
-    """
+    """Return the water of a terrain; reads one level of at most 1025 samples a side."""
     if not may_have_water(terrain, frame):
         return NOWHERE
     level = level_within(terrain, _SIDE)

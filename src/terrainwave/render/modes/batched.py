@@ -68,12 +68,7 @@ class RegularBlock(NamedTuple):
 
 
 class Batched(BoundedMode):
-    """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors.
-
-    Notes
-    -----
-    Nothing is decoded before a block is wanted.
-    """
+    """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors."""
 
     name = "batched"
     options = ("detail", "order", "orientation")

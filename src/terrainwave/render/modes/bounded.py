@@ -15,10 +15,7 @@ MORPH_START = 1.25
 class BoundedMode(Mode):
     """Mode whose pieces and pictures have guaranteed errors.
 
-    Parameters
-    ----------
-    orientation : bool
-        Errors count by the direction from which they are seen (`kernels.oriented_distance`).
+    With `orientation` errors count by the direction from which they are seen.
     """
 
     def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:

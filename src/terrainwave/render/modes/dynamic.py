@@ -22,14 +22,9 @@ from terrainwave.tri.followed import Eye, Followed
 
 
 class Dynamic(FrontMode):
-    """A mesh from the marks of Haar quadtrees that follow the camera.
+    """A mesh from the marks of Haar quadtrees of `tree` x `tree` samples that follow the camera.
 
-    Parameters
-    ----------
-    stepwise : bool
-        Change marks by one height per frame, as in the paper.
-    tree : int, optional
-        Samples per side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
+    With `stepwise` marks change by one height per frame, as in the paper.
     """
 
     name = "dynamic"

@@ -22,11 +22,6 @@ class Motion:
     """The last positions of a camera and its steady speed. Used by one thread.
 
     Zhang et al. 2012, eq. 15, predict one frame, P₂ = 2 P₁ − P₀; here the same line, by seconds.
-
-    Parameters
-    ----------
-    clock : callable
-        Seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

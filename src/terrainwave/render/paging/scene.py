@@ -99,18 +99,9 @@ class SceneOptions(DrawnOptions):
 
 
 class Scene:
-    """A terrain with a store of patches.
+    """A terrain with a store of patches. Used by one thread, but for the workers.
 
-    Parameters
-    ----------
-    terrain : TerrainFile
-    store : PieceStore
-    options
-        Of `SceneOptions`.
-
-    Notes
-    -----
-    Used by one thread, but for the workers. A context manager.
+    `options` are those of `SceneOptions`.
     """
 
     def __init__(self, terrain: "TerrainFile", store: PieceStore, **options: Any) -> None:
@@ -228,13 +219,7 @@ class Scene:
         return frames
 
     def settle(self, view: View, *, timeout: float = 600.0) -> Frames:
-        """Return the settled frame: all that the view needs is here; waits for the workers.
-
-        Raises
-        ------
-        TerrainwaveError
-            If it takes longer than `timeout` seconds.
-        """
+        """Return the settled frame: all that the view needs is here; waits for the workers."""
         end, n_more = time.monotonic() + timeout, 1 if self.mode.has_limit else 2
         while True:
             frames = self.update(view, max_uploads=1 << 30)

@@ -165,14 +165,7 @@ def format_camera(camera: Camera, frame: Frame) -> str:
 
 
 def parse_camera(line: str, frame: Frame) -> Camera:
-    """Return the camera written by `format_camera`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not five or six finite numbers (the field of view may be left out) within their
-        ranges.
-    """
+    """Return the camera written by `format_camera`; the field of view may be left out."""
     try:
         numbers = [float(part) for part in line.split(",")]
     except ValueError:

@@ -173,13 +173,7 @@ class Frame:
         return matrix
 
     def exaggerated(self, factor: float) -> "Frame":
-        """Return the frame with another vertical exaggeration.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If it is not a number > 0.
-        """
+        """Return the frame with another vertical exaggeration."""
         if not (math.isfinite(factor) and factor > 0):
             raise InvalidArgumentError(f"found `exaggeration` {factor}, expected a number > 0")
         return replace(self, exaggeration=float(factor))
@@ -210,11 +204,6 @@ def frame_of(
 
     Degrees are scaled at the centre by the radii of the CRS's ellipsoid, or of a sphere of `radius`
     metres; feet become metres.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an option is out of range.
     """
     raster = terrain.raster_info
     a, b, _, d, e, _ = raster.transform

@@ -10,12 +10,9 @@ from terrainwave.render.scene.select_kernels import N_PLANES, is_outside
 
 
 def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
-    """Return five inward planes: left, right, bottom, top and the one through the eye.
+    """Return five inward planes, shape (5, 4): left, right, bottom, top and one through the eye.
 
-    Returns
-    -------
-    ndarray of float64, shape (5, 4)
-        Unit normals and offsets: n·p + w >= 0 inside. There is no far plane.
+    They are unit normals and offsets: n·p + w >= 0 inside. There is no far plane.
     """
     vertical = math.tan(math.radians(camera.fov) / 2)
     horizontal = vertical * viewport.aspect

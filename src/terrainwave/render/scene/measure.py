@@ -64,13 +64,7 @@ class Profile(NamedTuple):
 
 
 class Ruler:
-    """Metres of a terrain's coordinates.
-
-    Parameters
-    ----------
-    radius : float, optional
-        Of the body in metres, for degrees, as in `frame_of`.
-    """
+    """Metres of a terrain's coordinates; `radius` as in `frame_of`."""
 
     def __init__(self, terrain: "TerrainFile", radius: float | None = None) -> None:
         raster = terrain.raster_info
@@ -97,13 +91,7 @@ class Ruler:
 def read_profile(
     terrain: "TerrainFile", ruler: Ruler, points: list[tuple[float, float]]
 ) -> Profile:
-    """Return the heights of the finest level along two or more points, read now.
-
-    Raises
-    ------
-    TerrainwaveError
-        If they cannot be read.
-    """
+    """Return the heights of the finest level along two or more points, read now."""
     corners = np.array(points, dtype=np.float64)
     n_pixels = np.abs(np.diff(corners, axis=0) / terrain.res).max(axis=1)
     shrink = min(1.0, _MOST_SAMPLES / max(float(n_pixels.sum()), 1.0))

@@ -210,15 +210,7 @@ class PatchBuilder:
         return self._mesher.mesh(block)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
-        """Return the patch of a piece.
-
-        Raises
-        ------
-        Cancelled
-            If `is_cancelled` returns True between two steps.
-        CorruptStreamError
-            If the file is damaged there.
-        """
+        """Return the patch of a piece."""
         block = piece.block
         children = self.children(piece)
         go_on(is_cancelled)

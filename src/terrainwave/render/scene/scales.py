@@ -60,12 +60,7 @@ class HeightTexels:
 class Texels:
     """Slopes and heights of samples as stored in textures. Thread-safe.
 
-    Parameters
-    ----------
-    frame : Frame
-        Its east and north are the directions of slopes.
-    scale : HeightScale
-        Of the samples.
+    The frame's east and north are the directions of slopes.
     """
 
     def __init__(self, frame: Frame, scale: HeightScale) -> None:
@@ -86,12 +81,9 @@ class Texels:
         shape: tuple[int, int],  # of the texture
         stride: int,  # samples of the full grid between two
     ) -> NDArray[np.float16]:
-        """Return a texture of a part of samples.
+        """Return a texture of a part of samples, float16 (n_rows, n_cols, 3).
 
-        Returns
-        -------
-        ndarray of float16, shape (n_rows, n_cols, 3)
-            Metres per metre to the east and to the north, and heights (`HeightTexels`).
+        Metres per metre to the east and to the north, and heights (`HeightTexels`).
         """
         texels = np.empty((shape[0], 3 * shape[1]), dtype=np.uint16)
         slopes_of = np.array([*self._slopes / stride, _LEAST_SLOPE])

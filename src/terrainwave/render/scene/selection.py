@@ -261,12 +261,8 @@ class NodeTable:
     def forget_children(self, used: Sequence[NDArray[np.int32]]) -> None:
         """Remove pieces below those that are not in the store, except needed ones.
 
-        Building such a piece lists its children again. Numbers of removed pieces are reused.
-
-        Parameters
-        ----------
-        used : sequence of ndarray of int32
-            Nodes to keep, with all above them and their siblings.
+        Nodes of `used` stay, with all above them and their siblings. Building a piece lists its
+        children again. Numbers of removed pieces are reused.
         """
         n = len(self)
         parents, is_resident = self.parents[:n], self.is_resident[:n]

@@ -56,13 +56,7 @@ class _Overview(NamedTuple):
 
 
 def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
-    """Return the solid of a terrain; reads one level of at most 641 samples a side, and a border.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the coarsest level is damaged.
-    """
+    """Return the solid of a terrain; reads a level of at most 641 samples a side, and a border."""
     has_voids = terrain.info().voids != "none"
     overview = _read_overview(terrain, frame) if has_voids else None
     parts = [_floor(terrain.shape), *_walls(terrain, frame, overview)]

@@ -18,13 +18,7 @@ _NAMING = threading.Lock()
 
 
 def save_as_new(data: bytes, stem: str, ending: str, folder: str | os.PathLike[str] = ".") -> str:
-    """Write a file ``stem-date-time.ending``, numbered if it exists; return its name.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
-    """
+    """Write a file ``stem-date-time.ending``, numbered if it exists; return its name."""
     with _NAMING:
         return _save(data, stem, ending, Path(folder))
 

@@ -52,13 +52,7 @@ def choose_camera(
     camera: str | None = None,
     area: ShownArea | None = None,
 ) -> Camera:
-    """Return the camera of a line, or one that shows an area or everything.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the line is invalid, or both are given.
-    """
+    """Return the camera of a line, or one that shows an area or everything."""
     if camera is not None:
         if area is not None:
             raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
@@ -73,15 +67,7 @@ def choose_camera(
 
 
 def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
-    """Return the area within bounds; its physical heights are approximate, from an overview.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the bounds are empty.
-    InvalidHeightsError
-        If they miss the raster, or all within them is void.
-    """
+    """Return the area within bounds; its physical heights are approximate, from an overview."""
     left, bottom, right, top = bounds
     if not (left < right and bottom < top):
         raise InvalidArgumentError(
@@ -102,13 +88,7 @@ def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
 
 
 def read_flight(text: str, frame: Frame) -> list[Camera]:
-    """Return the cameras of a flight: a JSON list of camera lines.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is malformed.
-    """
+    """Return the cameras of a flight: a JSON list of camera lines."""
     try:
         keys = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -138,11 +118,6 @@ def fly_through(
     """Yield pictures along a flight, with the `statistics` of each.
 
     `measure` adds `distance_on_screen`.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a single picture shows nothing.
     """
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
@@ -171,13 +146,7 @@ def with_marks(
     legend: bool,
     scale_bar: bool,
 ) -> NDArray[np.uint8]:
-    """Return the last picture with a legend, and a scale bar for its middle.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a scale bar is requested, and the camera looks away from the terrain.
-    """
+    """Return the last picture with a legend, and a scale bar for its middle."""
     scene, scale = canvas.scene, None
     if scale_bar:
         scale = canvas.metres_per_pixel()
@@ -231,15 +200,7 @@ def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
 
 
 def caption(scene: Scene, tau: float, kept: float) -> str:
-    """Return a picture's error bound, in words.
-
-    Parameters
-    ----------
-    tau : float
-        `Frames.tau`, pixels, or the requested one if that is more.
-    kept : float
-        `Scene.kept_error`, pixels.
-    """
+    """Return the bound of a picture with `Frames.tau`, at least the requested one, in words."""
     if not scene.mode.is_bound:
         return f"no limit with error {scene.mode.error}"
     if not scene.mode.has_limit:

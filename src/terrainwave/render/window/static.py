@@ -30,13 +30,9 @@ _MAP_SIDE = 1200
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for notebooks.
+    """A picture for notebooks: uint8 (height, width, 3).
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 3)
-    camera : str
-        The line for ``camera=`` and ``--camera`` that gives this view.
+    `camera` is the line for ``camera=`` and ``--camera`` that gives this view.
     """
 
     pixels: NDArray[np.uint8]
@@ -48,15 +44,7 @@ class Picture:
         return encode_png(self.pixels)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the picture as PNG; the name must end in ``.png``.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If it does not.
-        StorageError
-            If it cannot be written, or exists already.
-        """
+        """Write the picture as PNG; the name must end in ``.png``."""
         check_ending(path, PICTURE_ENDINGS)
         with publish(Path(path), overwrite) as part:
             part.file.write(self._repr_png_())

@@ -60,15 +60,7 @@ def run(
     fullscreen: bool = False,
     **options: Any,
 ) -> str:
-    """Show a terrain until the window is closed; return the last camera as a line.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the terrain has no surface.
-    TerrainwaveError
-        If there is no display or no OpenGL 3.3; the message says what to do.
-    """
+    """Show a terrain until the window is closed; return the last camera as a line."""
     check_drawable(terrain)
     area = None if bounds is None else area_within(terrain, bounds)
     toolkit: Any = need("moderngl_window", extra="view", purpose="a window")

@@ -76,16 +76,9 @@ class DynamicFrame(NamedTuple):
 
 
 class DynamicMesh(FollowingMesh[DynamicFrame]):
-    """A raster's mesh that follows a camera.
+    """A raster's mesh that follows a camera. Used by one thread.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-
-    Notes
-    -----
-    `update` costs O(nodes on screen). Used by one thread.
+    `update` costs O(nodes on screen).
     """
 
     _least_for = "patch"

@@ -76,29 +76,11 @@ def build_tree(
 ) -> HaarTree:
     """Return the tree of a raster.
 
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-    mask : ndarray of bool, same shape, optional
-        True for valid samples; None: all that are finite.
-    patch : int
-        Samples per side of a patch: a power of two, 2 to 4096.
-    error : {"measured", "paper"}
-        See the module's docstring.
-    open_sides : tuple of bool
-        Whether the raster continues beyond its first row and column, its last row and column.
-        Beyond the last ones, whole patches must fit.
-    is_surface : bool
-        Errors hold for the whole bilinear surface of the samples, not only at samples.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-
-    Notes
-    -----
-    The measured error takes O(n log(patch)) for n samples, some 0.1 µs each and height.
+    `mask` is true for valid samples; None: all that are finite. `patch` is a power of two, 2 to
+    4096: samples per side of a patch. `open_sides` are those on which the raster continues, beyond
+    its first row and column, its last row and column; beyond the last ones, whole patches must fit.
+    With `is_surface` errors hold for the whole bilinear surface of the samples, not only at
+    samples. The measured error takes O(n log(patch)) for n samples, some 0.1 µs each and height.
     """
     heights = np.asarray(heights)
     if heights.ndim != 2 or not heights.size:

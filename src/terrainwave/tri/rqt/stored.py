@@ -42,17 +42,7 @@ def select_vertices(
     # magnitudes in quanta: vertices are selected by them, and the tolerance is not guaranteed
     coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
-    """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh.
-
-    Returns
-    -------
-    selection : ndarray of uint8, shape (2**n + 1, 2**n + 1)
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large, or the tolerance is negative.
-    """
+    """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh."""
     check_block(heights, mask)
     mask = np.ascontiguousarray(mask)
     rows, cols = virtual_places(heights.shape)

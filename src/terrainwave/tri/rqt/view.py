@@ -78,13 +78,7 @@ class RestrictedFrame(NamedTuple):
 
 
 class RestrictedMesh(FollowingMesh[RestrictedFrame]):
-    """A raster's restricted quadtree that follows a camera.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-    """
+    """A raster's restricted quadtree that follows a camera."""
 
     _least_for = "corner of a tile"
 

@@ -80,11 +80,6 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
 
     `borders` by block position; blocks outside of it demand nothing. A corner is shared by four
     blocks, but it is a vertex of all of them.
-
-    Raises
-    ------
-    ValueError
-        If a shared side has different numbers of samples in the two blocks.
     """
     row, col = position
     own = borders[position]
@@ -132,20 +127,10 @@ def agree(
 ) -> tuple[dict[Position, Result], int]:
     """Return the triangulations of blocks of one level with equal borders, and the rounds it took.
 
-    Parameters
-    ----------
-    positions : list of (row, col)
-        Blocks, in blocks of their level; any order gives the same result.
-    triangulate : callable
-        Returns the triangulation of a block with at least the given border vertices (None: any).
-    border : callable
-        Returns the border vertices of such a triangulation.
-    run : callable
-        As `map`: triangulates the blocks of one round. May do so in threads.
-
-    Notes
-    -----
-    Holds all results. To work out of core, keep only `border_of` results and use `late_blocks` in
+    `positions` are (row, col) in blocks of their level, in any order. `triangulate` returns the
+    triangulation of a block with at least the given border vertices (None: any), `border` its
+    border vertices. `run`, as `map`, triangulates the blocks of one round, perhaps in threads. All
+    results are held; to work out of core, keep only `border_of` results and use `late_blocks` in
     the same rounds.
     """
     nothing = [None] * len(positions)

@@ -41,13 +41,7 @@ def loose_mesh(
     trees: Trees,  # zero trees of the group that refines the block (`coding.zerotrees`)
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> LooseMesh:
-    """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large.
-    """
+    """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4)."""
     check_block(heights, mask)
     check_block(trees, mask)
     mask = np.ascontiguousarray(mask)

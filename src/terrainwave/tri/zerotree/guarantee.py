@@ -48,18 +48,7 @@ def guaranteed_cut(
     trees: Trees | None = None,
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> Cut:
-    """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh.
-
-    Returns
-    -------
-    cut : ndarray of uint8, same shape
-        See `tri.zerotree.labels`.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large, or the tolerance is negative.
-    """
+    """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh."""
     check_block(heights, mask)
     tolerance = check_tolerance(tolerance)
     for other in (trees, keep):

@@ -37,10 +37,7 @@ def layer_trees(
 ) -> Trees:
     """Return the zero trees of the difference layer between a block and the group below it.
 
-    Returns
-    -------
-    ndarray of uint8, shape (n_rows, n_cols)
-        A map as in `coding.zerotrees`; its finest nodes are the block's samples.
+    A map as in `coding.zerotrees`; its finest nodes are the block's samples.
     """
     layer = np.empty(finer.shape, dtype=np.int32)
     line = np.zeros(heights.shape[1] + 4, dtype=np.int64)
