@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.scene.camera import Camera, Viewport
-from terrainwave.render.scene.select_kernels import N_PLANES, is_outside
+from terrainwave.render.scene.select_kernels import is_outside
 
 
 def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
@@ -25,7 +25,7 @@ def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
             [0.0, 0.0, 1.0],
         ]
     )
-    planes = np.empty((N_PLANES, 4))
+    planes = np.empty((len(seen), 4))
     planes[:, :3] = seen @ camera.axes
     planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     planes[:, 3] = -planes[:, :3] @ camera.eye
@@ -36,4 +36,4 @@ def may_see(
     planes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> bool:
     """Return whether a box may be in view; never False for one that is."""
-    return not is_outside(planes, *low, *high)
+    return not is_outside(planes, tuple(low), tuple(high))
