@@ -107,14 +107,12 @@ class GlobeWay:
 
 
 def mesh_unit(mesh: MeshData) -> HeightUnit:
-    """Return the unit and the meaning of a mesh's heights."""
     return height_unit(mesh.units, mesh.crs, mesh.heights_are)
 
 
 def way_onto_globe(
     mesh: MeshData, place: Place, vertical: str = AS_IS, z_scale: float = 1.0
 ) -> GlobeWay:
-    """Return the conversion of a mesh's points to the globe."""
     if "impossible" in mesh.attributes:
         raise InvalidHeightsError(mesh.attributes["impossible"])
     unit = mesh_unit(mesh)

@@ -17,7 +17,6 @@ from terrainwave.place.vertical import note_as_is
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
-    """Return the position of the mesh's coordinates; see `place_of`."""
     is_placed = mesh.attributes.get("is_placed") is not False
     return place_of(
         mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius, has_frames=has_frames
@@ -25,7 +24,6 @@ def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool 
 
 
 def quiet_place(mesh: MeshData, radius: float | None) -> Place:
-    """Return `find_place` without its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         return find_place(mesh, radius=radius)
@@ -123,7 +121,6 @@ def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
 
 
 def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
-    """Return triangles that are counter-clockwise on the ground, as in x and y."""
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 
@@ -149,7 +146,6 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
 
 
 def note_heights(mesh: MeshData, vertical: str) -> None:
-    """Warn of assumptions about heights on the globe."""
     unit = mesh_unit(mesh)
     unit.note_kind()
     if not check_vertical(vertical) and not unit.is_radius:
@@ -157,7 +153,6 @@ def note_heights(mesh: MeshData, vertical: str) -> None:
 
 
 def globe_triangles(mesh: MeshData, place: Place) -> NDArray[np.int32]:
-    """Return triangles that face outwards on the globe."""
     return _facing_up(mesh, LocalAxes(*place.directions))
 
 

@@ -58,7 +58,6 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, data: bytes, **view: Any) -> int:
-        """Append bytes and return the index of their view."""
         self.views.append(
             {"buffer": 0, "byteOffset": self._n_bytes, "byteLength": len(data)} | view
         )
@@ -68,7 +67,6 @@ class _Buffer:
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[np.generic], kind: int, target: int, **more: Any) -> int:
-        """Append numbers and return the index of their accessor."""
         view = self.add(values.tobytes(), target=target)
         n_columns = values.shape[1] if values.ndim > 1 else 1
         self.accessors.append(
@@ -83,7 +81,6 @@ class _Buffer:
 
 
 def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON and the buffer of a file."""
     buffer = _Buffer()
     points = np.ascontiguousarray(mesh.vertices, dtype="<f4")
     attributes = {

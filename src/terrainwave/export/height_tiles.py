@@ -126,7 +126,6 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
 def _read(
     terrain: TerrainFile, region: Region, level: int, shape: tuple[int, int], reporter: Reporter
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return heights and validity, resampled from corner to corner."""
     rows = np.linspace(0, region.n_rows - 1, shape[0])
     cols = np.linspace(0, region.n_cols - 1, shape[1])
     heights, valid = np.empty(shape), np.empty(shape, dtype=bool)
@@ -240,7 +239,6 @@ def _warn_of_aspect(
 
 
 def checked_voids(voids: str | float) -> str | float:
-    """Return the option for voids: a word, or a height as a float."""
     if isinstance(voids, str):
         if voids in FILLINGS:
             return voids

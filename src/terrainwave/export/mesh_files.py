@@ -292,7 +292,6 @@ def _fitted(
 
 
 def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
-    """Return an error, in the file's unit, for which no cell has to be divided."""
     known: CurvatureShare | None = mesh.attributes.get("curvature")
     if known is None or known.cell is None:
         return 0.0
@@ -357,7 +356,6 @@ def _is_downward(mesh: MeshData, shape: Shape) -> bool:
 
 
 def check_extension(path: str | os.PathLike[str]) -> str:
-    """Return the extension of a path in small letters."""
     check_ending(path, MESH_ENDINGS)
     return Path(path).suffix.lower()
 

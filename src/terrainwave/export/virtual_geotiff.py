@@ -53,7 +53,6 @@ class VirtualGeoTIFF:
         return sparse_geotiff(info_to_write(terrain), n_overviews, stated)
 
     def warn_of_crs(self) -> None:
-        """Warn of properties of the raster's CRS that a GeoTIFF cannot hold."""
         warn_of_crs(self._layout[0], self.terrain.raster_info)
 
     @property

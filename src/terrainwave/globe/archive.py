@@ -11,7 +11,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from terrainwave._version import __version__
 from terrainwave.arguments import (
@@ -26,13 +26,11 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need, with_extra
+from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_scheme import in_order
 from terrainwave.progress import ProgressCallback, Reporter
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 _log = logging.getLogger(__name__)
 
@@ -58,7 +56,7 @@ class ArchivedZoom:
 
 @with_extra("pmtiles")
 def write_pmtiles(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     target: str | os.PathLike[str],
     *,
     min_zoom: int = 0,

@@ -13,21 +13,19 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from terrainwave.arguments import AS_IS, checked_threads
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish_directory
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_heights import TileHeights
 from terrainwave.globe.tile_mesh import TileMesh, TileMesher
 from terrainwave.globe.tile_scheme import CELLS, TileScheme, in_order
 from terrainwave.place.vertical import note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 _log = logging.getLogger(__name__)
 
@@ -74,7 +72,7 @@ class TilePyramid(TileScheme):
 
     def __init__(
         self,
-        terrain: "TerrainFile | Globe",
+        terrain: TerrainFile | Globe,
         *,
         void_height: float = 0.0,
         fill_voids: bool = False,
@@ -151,7 +149,7 @@ class ZoomSummary:
 
 
 def write_tiles(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     directory: str | os.PathLike[str],
     *,
     attribution: str = "",

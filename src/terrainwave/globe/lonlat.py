@@ -7,20 +7,18 @@ outermost samples. In a raster around the whole globe the first column follows t
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, determinant, places_to_samples, samples_to_places
 from terrainwave.grid.quadtree import Block
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import place_of
 from terrainwave.place.vertical import EllipsoidalHeights, onto_wgs84
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 Numbers = NDArray[np.float64]
 Places = tuple[Numbers, Numbers]
@@ -86,7 +84,7 @@ class Globe:
     `radius` metres. Raises `InvalidHeightsError` if the raster has no possible position there.
     """
 
-    def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
+    def __init__(self, terrain: TerrainFile, *, radius: float | None = None) -> None:
         raster = terrain.raster_info
         is_placed = raster.transform != IDENTITY
         place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)
@@ -176,7 +174,6 @@ class Globe:
         return near
 
     def from_samples(self, rows: Numbers, cols: Numbers) -> Places:
-        """Return longitudes and latitudes of fractional rows and columns of the full grid."""
         x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
         lonlat = self._place.to_lonlat(np.stack([x, y], axis=1))
         return lonlat[:, 0], lonlat[:, 1]
@@ -235,7 +232,6 @@ class Globe:
 
     @property
     def effective_error(self) -> float:
-        """Return the effective bound at samples of the full grid, in metres."""
         return self.terrain.effective_error * abs(self.metres)
 
     def level_for(self, spacing: float) -> int:
@@ -341,7 +337,6 @@ class Globe:
     # Above the ellipsoid
 
     def onto_ellipsoid(self) -> EllipsoidalHeights:
-        """Return the conversion of the file's heights to the globe's ellipsoid."""
         if self.has_radii:
             return EllipsoidalHeights.of_radii(self._place)
         return onto_wgs84(self._place, self.terrain.bounds)
@@ -411,7 +406,6 @@ def _distinct(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np
 
 
 def _among(columns: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the indices of columns among those of a window."""
     if columns[-1] - columns[0] == columns.size - 1:
         return wanted - columns[0]
     return np.searchsorted(columns, wanted)

@@ -116,7 +116,6 @@ PLAIN = Look()
 
 
 def encoding_of(name: str) -> Encoding:
-    """Return the encoding with this name."""
     check_choice("encoding", name, ENCODINGS)
     return ENCODINGS[name]
 
@@ -170,7 +169,6 @@ def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def latitudes_of(z: int, y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return degrees of fractional tile rows; row 0 is the north (XYZ, not TMS)."""
     return np.degrees(np.arctan(np.sinh(math.pi * (1 - 2 * y / (1 << z)))))
 
 
@@ -185,13 +183,11 @@ def row_of(z: int, latitude: float) -> float:
 
 
 def pixel_size(globe: Globe, z: int, latitude: float, tile_size: int = TILE_SIZE) -> float:
-    """Return the size in metres of a tile's pixel at a latitude."""
     around = 2 * math.pi * globe.ellipsoid.axis
     return around * math.cos(math.radians(latitude)) / (tile_size << z)
 
 
 def _middle(globe: Globe) -> float:
-    """Return the latitude of a terrain's middle."""
     return (globe.extent.south + globe.extent.north) / 2
 
 

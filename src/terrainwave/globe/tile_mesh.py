@@ -250,7 +250,6 @@ def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
 
 
 def _all_of(is_so: NDArray[np.bool_], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return for which triangles all corners are true."""
     a, b, c = (is_so[triangles[:, corner]] for corner in range(3))
     found: NDArray[np.bool_] = a & b & c
     return found

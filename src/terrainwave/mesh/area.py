@@ -248,10 +248,6 @@ class _Extractor(Generic[Made]):
             built = self._build_all(cut, n_most)
 
     def _mesh_if_reached(self, error: Fraction, n_most: int) -> Made | None:
-        """Return the mesh for an error in quanta.
-
-        None if it has more than `n_most` triangles or a coarse level cannot keep to the error.
-        """
         try:
             return self._mesh_within(error, n_most)
         except (_UnreachableError, _TooManyTrianglesError):

@@ -268,12 +268,10 @@ class BlockMesher:
         return triangulate(*samples, border_lines(samples, sides, self._grid.block), tolerance)
 
     def draft(self, block: Block, demanded: BorderVertices | None) -> Draft:
-        """Return the draft of a block's stored mesh, with at least the demanded vertices."""
         samples = self.stored_samples(block)
         return STORED_KINDS[self.kind].draft(samples, self.tolerance(block), demanded)
 
     def encode(self, block: Block, draft: Draft) -> bytes:
-        """Return the bytes of a draft in agreement with its level."""
         samples = self.stored_samples(block)
         return STORED_KINDS[self.kind].encode(samples, self.tolerance(block), draft)
 

@@ -55,11 +55,9 @@ class Area(NamedTuple):
         )
 
     def roots(self) -> list[Block]:
-        """Return the blocks of level 0 that have cells in the area."""
         return [block for block in self.grid.blocks(0) if self.meets(block)]
 
     def children(self, block: Block) -> list[Block]:
-        """Return the children of a block that have cells in the area."""
         return [child for child in self.grid.children(block) if self.meets(child)]
 
     def blocks(self, level: int) -> list[Block]:
@@ -94,7 +92,6 @@ class Area(NamedTuple):
         return False
 
     def meets(self, block: Block) -> bool:
-        """Return whether cells of the block lie in the area."""
         region, scale = self.region, self.grid.stride(self.level)
         stride = self.grid.stride(block.level) * self.grid.block
         return (
@@ -133,13 +130,11 @@ class Errors:
         return Fraction(decode_error(self._container.codes(block)[2]))
 
     def smallest(self) -> Fraction:
-        """Return the smallest error that may be requested."""
         if self._area.is_finest:
             return self.coded
         return max(map(self.heights, self._area.blocks(self._area.level)))
 
     def piece(self, block: Block, error: Fraction) -> CutBlock:
-        """Return a block with its tolerances for an error."""
         own, sides = self._left_over(block, error), []
         for row, col in TOWARDS.values():
             beside = Block(block.level, block.row + row, block.col + col)

@@ -39,7 +39,6 @@ class LooseMesher:
         self._mesher = mesher_of(file, trees=by_threshold if self.has_threshold else coded)
 
     def samples_within(self, block: Block, mesh: BlockMesh) -> tuple[int, int]:
-        """Return how many samples of a block a mesh covers, and how many within its tolerance."""
         samples = self._mesher.samples(block)
         surface = np.full(samples.mask.size, np.nan)
         n_rows, n_cols = samples.mask.shape

@@ -57,7 +57,6 @@ class MeshData:
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Return the vertices in the CRS, `origin` added."""
         return self.vertices + np.asarray(self.origin)
 
     @property

@@ -42,7 +42,6 @@ class CoveredSamples:
         self._first: _Samples | None = None
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
-        """Return heights and validity of any region inside a level."""
         if self.outline < 0 and level == 0:
             whole = self._first_level()
             at = region.slices_in(Region(0, 0, *self._grid.level_shape(0)))
@@ -62,7 +61,6 @@ class CoveredSamples:
         return _covered(_Samples(heights, mask), coarse, region.row & 1, region.col & 1)
 
     def _first_level(self) -> _Samples:
-        """Return level 0, covered by levels made from it."""
         with self._lock:
             if self._first is None:
                 region = Region(0, 0, *self._grid.level_shape(0))

@@ -139,7 +139,6 @@ def _level_parts(
     executor: Executor,
     on_samples: Callable[[int], None],
 ) -> dict[Block, bytes]:
-    """Return the bytes of the meshes of one level."""
 
     def draft(position: Position, demanded: BorderVertices | None) -> Draft:
         return mesher.draft(Block(level, *position), demanded)

@@ -23,7 +23,6 @@ BlockCoefficients = Callable[[Block], NDArray[np.int64]]
 
 
 def layer_source(decoder: TreeDecoder) -> ZeroTrees:
-    """Return the trees of decoded difference layers (`tri.zerotree.layer_trees`)."""
 
     def trees(block: Block, tolerance: int) -> Trees:
         grid = decoder.grid

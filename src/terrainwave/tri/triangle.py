@@ -39,7 +39,6 @@ def check_tolerance(tolerance: int) -> int:
 
 @kernel
 def area_of(r0, c0, r1, c1, r2, c2):
-    """Return twice the signed area."""
     return (c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)
 
 

@@ -1,6 +1,6 @@
 """Regular blocks on the GPU: heights in an array texture, one instanced call for all of them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.render.gpu.shaders import INSTANCE
 from terrainwave.render.gpu.surface import InstancedSurface
 from terrainwave.render.gpu.texture_layers import HEIGHTS, SLOPES, LayeredTextures
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.batched import RegularBlock
+from terrainwave.render.modes.batched import RegularBlock
 
 _SKIRT = 1 << 15
 _VOID = np.float32(-1e38)
@@ -72,7 +70,7 @@ class BlockStore:
     def n_bytes(self) -> int:
         return self.layers.n_bytes
 
-    def put(self, node: int, built: "RegularBlock") -> bool:
+    def put(self, node: int, built: RegularBlock) -> bool:
         layer = self.layers.take() if built.n_triangles else -1
         if layer is None:
             return False

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.shaders import SOLID_ALPHA
 from terrainwave.render.look.drape_detail import DETAIL_SIDE
+from terrainwave.render.look.style import Style
 from terrainwave.render.look.water import read_water
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
@@ -18,13 +20,10 @@ from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.walls import build_solid
+from terrainwave.render.scene.walls import Solid, build_solid
 
 if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape, Photo
-    from terrainwave.render.look.style import Style
-    from terrainwave.render.scene.walls import Solid
 
 _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
@@ -45,12 +44,6 @@ def create_context() -> Any:
         except Exception as error:  # noqa: BLE001  glcontext raises what its backend raises
             problems.append(str(error).splitlines()[0] if str(error) else type(error).__name__)
     raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
-
-
-def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
-    from terrainwave.raster_io.drape import Photo
-
-    return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
 
 
 def _from_above(
@@ -83,7 +76,7 @@ class Canvas:
 
     def __init__(
         self,
-        terrain: "TerrainFile",
+        terrain: TerrainFile,
         size: tuple[int, int],  # width and height in pixels
         *,
         mode: str = "adaptive",  # one of `terrainwave.render.modes.MODES`
@@ -103,7 +96,12 @@ class Canvas:
         from terrainwave.render.gpu.renderer import Renderer  # imported late: moderngl
         from terrainwave.render.gpu.surfaces import surface_of
 
-        self.photo = None if drape is None else _open_photo(terrain, drape)
+        self.photo: "Photo | None" = None
+        if drape is not None:
+            from terrainwave.raster_io.drape import Photo  # imported late: rasterio
+
+            affine = terrain.raster_info.transform
+            self.photo = Photo(drape, crs=terrain.crs, affine=affine, shape=terrain.shape)
         side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
         if is_late:  # finer parts follow as the camera approaches
             side = min(side, DETAIL_SIDE)
@@ -132,7 +130,7 @@ class Canvas:
             self.scene.close()  # otherwise its threads would continue
             raise
 
-    def set_solid(self, solid: "Solid") -> None:
+    def set_solid(self, solid: Solid) -> None:
         self.has_voids = solid.has_lids
         self.renderer.set_solid(solid)
 
@@ -147,7 +145,6 @@ class Canvas:
         return width / self.photo.place[2]
 
     def _bytes_of_drape(self, *, has_detail: bool) -> int:
-        """Return the bytes on the GPU of the orthophoto, including its mipmaps."""
         if self.photo is None:
             return 0
         width, height = self.photo.size(*self._drape_limits)
@@ -202,7 +199,7 @@ class Canvas:
     def draw(
         self,
         camera: Camera,
-        style: "Style",
+        style: Style,
         *,
         max_pixel_error: float = 1.0,
         settle: bool = True,
@@ -237,7 +234,6 @@ class Canvas:
 
     @property
     def kept_error(self) -> float:
-        """Return the error bound of the last picture, as `Scene.kept_error`."""
         return self.scene.kept_error(self._last.view, self._last.frames)
 
     @property
@@ -245,7 +241,7 @@ class Canvas:
         return self._resolved
 
     def picture(
-        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+        self, camera: Camera, style: Style, *, max_pixel_error: float = 1.0, settle: bool = True
     ) -> tuple[NDArray[np.uint8], Frames]:
         """Return the picture, uint8 (height, width, 3), the first row on top, and its frames.
 
@@ -320,7 +316,7 @@ class Canvas:
         last = int(np.ceil(rows.max())), int(np.ceil(cols.max()))
         return Region(*first, last[0] - first[0] + 1, last[1] - first[1] + 1).intersect(grid)
 
-    def drawn_heights(self, region: Region, style: "Style") -> NDArray[np.float64]:
+    def drawn_heights(self, region: Region, style: Style) -> NDArray[np.float64]:
         """Return the last picture's surface at samples of the full grid: its highest and lowest.
 
         Local z, shape (2, n_rows, n_cols), NaN where nothing is drawn. The pieces of the picture
@@ -365,7 +361,7 @@ class Canvas:
         away = float((middle - camera.eye) @ camera.forward)
         return away / focal_length(camera, self.viewport) if away > 0 else None
 
-    def _draw_parts(self, view: View, style: "Style") -> Frames:
+    def _draw_parts(self, view: View, style: Style) -> Frames:
         """Draw all finest blocks in view, as many at a time as fit into memory."""
         self.renderer.clear(view, style)
         none = np.empty(0)

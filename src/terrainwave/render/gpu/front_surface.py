@@ -1,6 +1,6 @@
 """One mesh of many patches on the GPU, uploaded each frame; slopes of each patch in a texture."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -8,12 +8,10 @@ import numpy as np
 from terrainwave.render.gpu.shaders import OUTPUTS
 from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
 from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
+from terrainwave.render.modes.front import FrontPatch
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.selection import View
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.front import FrontPatch
-    from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene
 
 _SLOPES = OWN_UNIT
 _FIRST_BYTES = 1 << 20
@@ -83,7 +81,7 @@ class FrontStore:
             raise AssertionError("a patch is here")
         return self._layers.textures[0]
 
-    def put(self, node: int, built: "FrontPatch") -> bool:
+    def put(self, node: int, built: FrontPatch) -> bool:
         """Upload slopes; return False if there is no room."""
         if self._layers is None:
             self._allocate(built)
@@ -98,7 +96,7 @@ class FrontStore:
         self.layer_of[node] = layer
         return True
 
-    def _allocate(self, built: "FrontPatch") -> None:
+    def _allocate(self, built: FrontPatch) -> None:
         """Divide the memory between layers and the rest."""
         self.side, self._room = built.side, built.room
         layer = (built.side + RING) ** 2 * SLOPES.n_bytes
@@ -127,7 +125,7 @@ class FrontSurface(Surface):
         self._triangles = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
         self._array: Any = None
 
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         mode: Any = scene.mode
         drawn = mode.drawn
         if drawn is None or not len(drawn.triangles):
@@ -151,7 +149,6 @@ class FrontSurface(Surface):
         return 1
 
     def _upload(self, vertices: bytes, triangles: bytes) -> None:
-        """Fill the buffers; enlarge them if necessary."""
         if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
             release_all(self._array)
             size = max(self._vertices.size, 2 * len(vertices), 2 * len(triangles))

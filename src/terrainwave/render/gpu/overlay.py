@@ -176,7 +176,6 @@ def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> N
 
 
 def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> None:
-    """Draw the direction of north: up if the camera looks north."""
     angle = math.radians(-camera.heading)
     x, y, size = viewport.width - 44, 44, 26
     along = np.array([math.sin(angle), -math.cos(angle)])

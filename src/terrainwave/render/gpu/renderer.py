@@ -215,7 +215,6 @@ class Renderer:
             self._solid.draw(self._scene.frame, view, values)
 
     def depth_range(self, view: View, frames: Frames) -> tuple[float, float]:
-        """Return near and far planes that hold everything drawn."""
         frame, eye = self._scene.frame, view.camera.eye
         low, high = frame.solid_box
         corners = np.maximum(np.abs(low - eye), np.abs(high - eye))
@@ -228,7 +227,6 @@ class Renderer:
         return max(nearest * 0.9, far * _NEAREST), far
 
     def _shared_uniforms(self, view: View, frames: Frames, style: Style) -> dict[str, Any]:
-        """Return the uniforms shared by the programs of the terrain and of the block under it."""
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)

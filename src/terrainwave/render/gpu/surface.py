@@ -2,18 +2,16 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.selection import View
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene
 
 # Texture units; a mode's own begin at OWN_UNIT.
 RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
@@ -37,7 +35,7 @@ class Surface(ABC):
         )
 
     @abstractmethod
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         """Draw into the framebuffer in use; return the number of draw calls.
 
         Called with the nodes of `frames` in its store, the nearest first.
@@ -59,7 +57,7 @@ class InstancedSurface(Surface):
         self._side = side
         self._instances: Any = None
 
-    def instances(self, scene: "Scene", view: View, frames: "Frames") -> NDArray[np.float32]:
+    def instances(self, scene: Scene, view: View, frames: Frames) -> NDArray[np.float32]:
         """Return the texels of the blocks that are not void, float32 (n, 16)."""
         table, nodes = scene.table, frames.nodes
         keys = table.keys[nodes]
@@ -80,7 +78,7 @@ class InstancedSurface(Surface):
         texels[:, 12] = table.errors[nodes]
         return texels[texels[:, 5] >= 0]
 
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         texels = self.instances(scene, view, frames)
         n = len(texels)
         if not n:
@@ -105,7 +103,6 @@ class InstancedSurface(Surface):
 
 
 def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
-    """Set the uniforms that the program has; compilers drop unused ones."""
     for name, value in values.items():
         # `in` would scan all names.
         if program.get(name, None) is not None:

@@ -58,7 +58,6 @@ class LayeredTextures:
 
     @property
     def max_bytes(self) -> int:
-        """Return the bytes of the largest allowed number of layers."""
         return self.max_layers * self._layer_bytes
 
     @property

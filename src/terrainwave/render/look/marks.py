@@ -102,7 +102,6 @@ class Ink:
         self.draw.multiline_text((x, y), words, font=self.font, fill=WHITE)
 
     def scale_bar(self, metres_per_pixel: float) -> None:
-        """Draw a bar of a round length at the lower right."""
         metres = round_length(metres_per_pixel * _LONGEST_BAR)
         length = metres / metres_per_pixel
         x, y = self.image.width - 24 - length, self.image.height - 22

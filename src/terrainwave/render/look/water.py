@@ -5,18 +5,16 @@ under which there is no dry land.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
+from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.walls import level_within, read_metres
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.scene.frame import Frame
 
 # Values of `Water.cells`: no water; water where heights are 0; water at and below 0.
 LAND, LEVEL, DEEP = 0, 128, 255
@@ -51,7 +49,7 @@ EVERYWHERE = Water(np.array([[DEEP]], dtype=np.uint8), 1)
 NOWHERE = Water(np.array([[LAND]], dtype=np.uint8), 1)
 
 
-def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
+def waves_of(terrain: TerrainFile, frame: Frame) -> float:
     """Return the metres around 0 that are level water.
 
     These are heights that decode to 0 within the bound, and float32 rounding.
@@ -60,12 +58,12 @@ def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
     return min(error, _MOST_WAVES) + _ROUNDED
 
 
-def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
+def may_have_water(terrain: TerrainFile, frame: Frame) -> bool:
     lowest = float(frame.box[0][2]) / frame.exaggeration
     return frame.body in (EARTH, UNKNOWN) and lowest <= waves_of(terrain, frame)
 
 
-def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
+def read_water(terrain: TerrainFile, frame: Frame) -> Water:
     """Return the water of a terrain; reads one level of at most 1025 samples a side."""
     if not may_have_water(terrain, frame):
         return NOWHERE
@@ -101,7 +99,6 @@ def find_water(
 
 
 def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
-    """Return samples grown `n_times` by their eight neighbours."""
     for _ in range(n_times):
         wide = np.pad(found, 1)
         wide = wide[:-2] | wide[1:-1] | wide[2:]
@@ -110,7 +107,6 @@ def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
 
 
 def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples with a chosen label; the label 0 is never chosen."""
     table = np.zeros(labels.size + 1, dtype=np.bool_)
     table[1 : len(is_chosen)] = is_chosen[1:]
     found: NDArray[np.bool_] = table[labels]

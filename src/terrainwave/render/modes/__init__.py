@@ -38,7 +38,6 @@ def options_of(name: str, **options: Any) -> dict[str, Any]:
 
 
 def mode_class(name: str) -> "type[Mode]":
-    """Return the class of a mode."""
     if name not in _CLASSES:
         raise InvalidArgumentError(f"found `mode` {name!r}, expected one of {', '.join(MODES)}")
     module, attribute = _CLASSES[name]

@@ -172,7 +172,6 @@ class Batched(BoundedMode):
         )
 
     def _prefetch(self, block: Block) -> None:
-        """Fetch the data of a block and its slopes in one request."""
         grid, level = self.terrain.grid, block.level
         near = grid.block_region(block, 2).intersect(Region(0, 0, *grid.level_shape(level)))
         keys = units_of(grid, level, near)
@@ -227,7 +226,6 @@ class Batched(BoundedMode):
         return own * self.frame.error_metres + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:
-        """Return rows and columns of a block, including those past the raster's edge."""
         side, stride = self._side, self.terrain.grid.stride(block.level)
         rows, cols = (-(-(n - 1) // stride) for n in self.terrain.shape)
         return min(side, rows - block.row * side) + 1, min(side, cols - block.col * side) + 1
@@ -237,12 +235,10 @@ class Batched(BoundedMode):
         return error + 4 * self._largest * FLOAT32_ROUNDING
 
     def _samples(self, key: Block, region: Region) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Return quanta and validity of a unit's samples in a region."""
         _, decoded = self.terrain.decoder.part(key, region)
         return decoded.heights, decoded.mask
 
     def _metres(self, quanta: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return heights above the middle, metres."""
         return self._scale.metres(quanta) - self._middle
 
     # Each frame
@@ -264,7 +260,6 @@ class Batched(BoundedMode):
     def frames(
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
-        """Return morphs and skirts: as the errors require, or as in the paper."""
         if self.error != "paper":
             return super().frames(table, view, selection, tau, n_missing)
         nodes, distances = selection.nodes, selection.distances
@@ -282,7 +277,6 @@ class Batched(BoundedMode):
 
 
 def n_grid_triangles(side: int) -> int:
-    """Return the triangles of a block and its skirts."""
     return 2 * side * side + 8 * side
 
 

@@ -42,7 +42,6 @@ class Dynamic(FrontMode):
         self.arrange()
 
     def arrange(self) -> None:
-        """Set the extent of patches for a size of trees."""
         self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
     def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> DynamicMesh:

@@ -127,7 +127,6 @@ class FrontPatch:
 
 
 def eye_of(view: View) -> Eye:
-    """Return the input of errors on screen."""
     return Eye(
         view.camera.eye,
         view.camera.forward,
@@ -171,7 +170,6 @@ class FrontMode(Mode):
 
     @property
     def side(self) -> int:
-        """Return the samples per side of the largest patches."""
         return min(self._reach, max(self.terrain.shape))
 
     @property
@@ -181,7 +179,6 @@ class FrontMode(Mode):
 
     @property
     def _mesh_side(self) -> int:
-        """Return the samples per side of the largest meshes."""
         return min(self._reach, self.side + 1 + self.apron + self.beyond)
 
     def _n_pieces(self, level: int) -> tuple[int, int]:
@@ -240,7 +237,6 @@ class FrontMode(Mode):
         return Continued(np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0]))
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
-        """Return the blocks that hold the cells of a region of samples, within its level."""
         grid = self.terrain.grid
         rows, cols = (
             range(
@@ -317,7 +313,6 @@ class FrontMode(Mode):
         """Return the mesh of a patch, `given` most of its arguments. Thread-safe."""
 
     def read(self, level: int, region: Region) -> PatchSamples:
-        """Return samples of a level. Thread-safe."""
         terrain = self.terrain
         whole = Region(0, 0, *terrain.grid.level_shape(level))
         wide = Region(region.row - 1, region.col - 1, region.n_rows + 2, region.n_cols + 2)
@@ -375,7 +370,6 @@ class FrontMode(Mode):
         return nodes
 
     def split_error(self, tau: float) -> float:
-        """Return the error of levels above which pieces are split, for the requested τ."""
         return tau * _LEVEL_SHARE
 
     def frames(
@@ -466,7 +460,6 @@ class FrontMode(Mode):
         return own + beside
 
     def _join(self, frames: list[PatchFrame], depths: NDArray[np.float64]) -> None:
-        """Make one mesh of all patches with their skirts."""
         parts, starts = [], [0]
         for frame, depth in zip(frames, depths.tolist(), strict=True):
             part = _with_skirts(frame, depth)

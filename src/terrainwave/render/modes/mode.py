@@ -13,19 +13,17 @@ results of `build`, and a program draws them (`render.gpu.surface`).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
@@ -49,7 +47,7 @@ class Frames(NamedTuple):
 class ModeNeeds(NamedTuple):
     """Arguments of every mode."""
 
-    terrain: "TerrainFile"
+    terrain: TerrainFile
     frame: Frame  # local metres; its exaggeration is not used: the GPU applies it
     # one of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
     # ("paper"), or the file's wavelet coefficients ("coefficient")

@@ -36,7 +36,6 @@ class Background(Threads):
             self._changed.notify()
 
     def poll(self) -> None:
-        """Handle the finished results."""
         while True:
             try:
                 value, error, then = self._done.get_nowait()

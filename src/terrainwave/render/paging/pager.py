@@ -83,7 +83,6 @@ class Pager(Threads):
             )
 
     def close(self, patience: float | None = None) -> None:
-        """Stop the threads; unfinished work is dropped."""
         self.request([])
         super().close(patience)
 

@@ -4,19 +4,17 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from terrainwave.errors import TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
+from terrainwave.render.modes.mode import Mode
 from terrainwave.render.paging.problems import replies_of
 from terrainwave.render.paging.threads import Threads
+from terrainwave.render.scene.camera import Camera
 from terrainwave.render.scene.selection import NodeTable, Piece, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.modes.mode import Mode
-    from terrainwave.render.scene.camera import Camera
 
 # Two simultaneous calls, so that the line is never idle between them; each with few pieces, so that
 # another camera need not wait long for its own.
@@ -40,7 +38,7 @@ class Descent(Threads):
     def __init__(
         self,
         # for its tree and its wanted pieces; its `wanted` uses a table of this thread's own
-        mode: "Mode",
+        mode: Mode,
         # `prefetch, units`: as of `ReadAhead`
         prefetch: Callable[[Sequence[Block]], object],
         units: Callable[[Piece], Sequence[Block]],
@@ -164,14 +162,14 @@ class ReadAhead(Threads):
             self._descent.close(patience)
 
 
-def units_of_piece(terrain: "TerrainFile", piece: Piece) -> list[Block]:
+def units_of_piece(terrain: TerrainFile, piece: Piece) -> list[Block]:
     """Return the keys of the units that hold a block and the samples around it."""
     grid = terrain.grid
     level = Region(0, 0, *grid.level_shape(piece.level))
     return units_of(grid, piece.level, grid.block_region(piece.block, _RING).intersect(level))
 
 
-def read_ahead_of(terrain: "TerrainFile", mode: "Mode") -> ReadAhead | None:
+def read_ahead_of(terrain: TerrainFile, mode: Mode) -> ReadAhead | None:
     """Return the read-ahead for a mode with blocks of a file on a server, else None."""
     if replies_of(terrain) is None or not hasattr(mode, "builder"):
         return None

@@ -4,12 +4,13 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.drawn_options import DrawnOptions
@@ -30,9 +31,6 @@ from terrainwave.render.scene.selection import (
     Selection,
     View,
 )
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # Pieces that one frame takes, and seconds of processor time.
 _UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
@@ -104,7 +102,7 @@ class Scene:
     `options` are those of `SceneOptions`.
     """
 
-    def __init__(self, terrain: "TerrainFile", store: PieceStore, **options: Any) -> None:
+    def __init__(self, terrain: TerrainFile, store: PieceStore, **options: Any) -> None:
         asked = SceneOptions(**options)
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=asked.radius, exaggeration=asked.exaggeration)
@@ -150,7 +148,6 @@ class Scene:
             self._ahead_reader.close()
 
     def exaggerate(self, factor: float) -> None:
-        """Change the vertical exaggeration; patches do not change."""
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
@@ -340,12 +337,10 @@ class Scene:
         return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
 
     def _is_here(self, piece: Piece) -> bool:
-        """Say whether a piece is drawn, or could be; called by other threads."""
         node = self.table.find(piece)
         return node is not None and bool(self.table.is_resident[node])
 
     def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return nodes in the order of the error on screen of what stands in for them."""
         table = self.table
         parents = table.parents[nodes]
         above = np.maximum(parents, 0)
@@ -381,7 +376,6 @@ class Scene:
             self._take_in(view, taken[0], needs)
 
     def _take_in(self, view: View, outcome: Arrival, needs: NDArray[np.int8]) -> None:
-        """Keep what was built, or note why it could not be."""
         piece, built, error = outcome
         node = self.table.find(piece)
         if error is None:
@@ -412,7 +406,6 @@ class Scene:
     def _make_room(
         self, view: View, node: int, built: Built, needs: NDArray[np.int8], need: int
     ) -> bool:
-        """Drop pieces until one fits; say whether it does."""
         table = self.table
         needs = np.pad(needs, (0, len(table) - len(needs)))
         for threshold in range(_AHEAD, need + 1):

@@ -42,12 +42,10 @@ class Camera:
 
     @cached_property
     def eye(self) -> Vector:
-        """Return the position as a read-only array."""
         return np.array(self.position, dtype=np.float64)
 
     @cached_property
     def axes(self) -> Vector:
-        """Return unit vectors to the right, up and forward, shape (3, 3), read-only."""
         heading, pitch = math.radians(self.heading), math.radians(self.pitch)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
         sin_p, cos_p = math.sin(pitch), math.cos(pitch)
@@ -165,7 +163,6 @@ def format_camera(camera: Camera, frame: Frame) -> str:
 
 
 def parse_camera(line: str, frame: Frame) -> Camera:
-    """Return the camera written by `format_camera`; the field of view may be left out."""
     try:
         numbers = [float(part) for part in line.split(",")]
     except ValueError:
@@ -271,7 +268,6 @@ def _filled(camera: Camera, viewport: Viewport, corners: Vector) -> float:
 
 
 def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
-    """Return a view of a box straight down, north up."""
     return home(box, viewport, heading=0.0, pitch=-90.0)
 
 
@@ -279,13 +275,11 @@ def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
 
 
 def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:
-    """Return the camera moved along its own axes, in metres."""
     x, y, z = camera.eye + np.array([right, up, forward]) @ camera.axes
     return replace(camera, position=(float(x), float(y), float(z)))
 
 
 def look(camera: Camera, d_heading: float, d_pitch: float) -> Camera:
-    """Return the camera rotated in place, in degrees."""
     pitch = min(max(camera.pitch + d_pitch, -_MAX_PITCH), _MAX_PITCH)
     return replace(camera, heading=(camera.heading + d_heading) % 360, pitch=pitch)
 
@@ -299,7 +293,6 @@ def orbit(camera: Camera, pivot: Vector, d_heading: float, d_pitch: float) -> Ca
 
 
 def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
-    """Return the camera with its distance to a point multiplied by `factor`."""
     x, y, z = towards + (camera.eye - towards) * factor
     return replace(camera, position=(float(x), float(y), float(z)))
 

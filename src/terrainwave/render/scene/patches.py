@@ -9,12 +9,13 @@ Runs in worker threads.
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
@@ -26,9 +27,6 @@ from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texel
 from terrainwave.render.scene.selection import NodeInfo, Piece
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.mesh_surface import surface_at
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
@@ -83,7 +81,7 @@ class PatchBuilder:
 
     def __init__(
         self,
-        terrain: "TerrainFile",
+        terrain: TerrainFile,
         frame: Frame,  # local metres; its exaggeration is not used: the GPU applies it
         *,
         # Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +

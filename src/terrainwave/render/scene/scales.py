@@ -1,16 +1,14 @@
 """Conversion of a file's quanta to metres of a frame, and to slopes and heights in textures."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patch_kernels import fill_texels
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # Half of float32's spacing, relative.
 FLOAT32_ROUNDING = 2.0**-24
@@ -26,7 +24,7 @@ class HeightScale:
     zero: float  # metres of quantum 0
 
     @classmethod
-    def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
+    def of(cls, terrain: TerrainFile, frame: Frame) -> Self:
         header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
         return cls(

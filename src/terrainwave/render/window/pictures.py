@@ -5,15 +5,17 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from decimal import ROUND_CEILING, Context
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes.mode import NO_PROMISE, Frames
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import (
@@ -27,10 +29,6 @@ from terrainwave.render.scene.camera import (
 )
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.walls import read_metres
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.look.style import Style
 
 _MAX_KEYS = 100_000
 _FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
@@ -66,7 +64,7 @@ def choose_camera(
     return home((low, high), viewport)
 
 
-def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
+def area_within(terrain: TerrainFile, bounds: Sequence[float]) -> ShownArea:
     """Return the area within bounds; its physical heights are approximate, from an overview."""
     left, bottom, right, top = bounds
     if not (left < right and bottom < top):
@@ -108,7 +106,7 @@ def fly_through(
     canvas: Canvas,
     cameras: list[Camera],
     n_frames: int,
-    style: "Style",
+    style: Style,
     max_pixel_error: float,
     *,
     legend: bool = False,
@@ -141,7 +139,7 @@ def with_marks(
     canvas: Canvas,
     image: NDArray[np.uint8],
     frames: Frames,
-    style: "Style",
+    style: Style,
     *,
     legend: bool,
     scale_bar: bool,
@@ -166,7 +164,7 @@ def with_marks(
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
-def distance_on_screen(canvas: Canvas, style: "Style") -> float:
+def distance_on_screen(canvas: Canvas, style: Style) -> float:
     """Return the distance of the last picture's surface from the decoded heights, pixels.
 
     At every valid sample of the full grid in view, as the camera sees it: between samples nothing
@@ -181,7 +179,7 @@ def distance_on_screen(canvas: Canvas, style: "Style") -> float:
     return largest
 
 
-def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
+def _distance_within(canvas: Canvas, style: Style, region: Region) -> float:
     """Return `distance_on_screen` of a part of the full grid."""
     frame, camera, viewport = canvas.scene.frame, canvas.camera, canvas.viewport
     heights, valid = read_metres(canvas.scene.terrain, frame, region, -1)

@@ -120,7 +120,6 @@ def _root_beside(height, row, col, is_lower, is_right, forest):
 
 @kernel
 def _add(a, b, c, is_mirrored, triangles, count):
-    """Append a triangle of three vertices; return the new count."""
     if is_mirrored:
         b, c = c, b
     triangles[count, 0], triangles[count, 1], triangles[count, 2] = a, b, c

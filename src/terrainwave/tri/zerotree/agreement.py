@@ -49,7 +49,6 @@ class BorderVertices(NamedTuple):
     right: Flags
 
     def keep(self, shape: tuple[int, int]) -> Keep:
-        """Return these vertices as a map of the block's samples."""
         keep = np.zeros(shape, dtype=np.bool_)
         keep[0] |= self.top
         keep[-1] |= self.bottom
@@ -59,7 +58,6 @@ class BorderVertices(NamedTuple):
 
 
 def border_of(vertices: Keep) -> BorderVertices:
-    """Return the border part of a map of vertices."""
     return BorderVertices(
         vertices[0].copy(), vertices[:, 0].copy(), vertices[-1].copy(), vertices[:, -1].copy()
     )
@@ -103,7 +101,6 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
 
 
 def lacks(own: BorderVertices, demanded: BorderVertices) -> bool:
-    """Return whether some demanded vertex is missing."""
     return any(bool((more & ~has).any()) for has, more in zip(own, demanded, strict=True))
 
 

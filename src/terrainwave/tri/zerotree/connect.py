@@ -41,7 +41,6 @@ def loose_mesh(
     trees: Trees,  # zero trees of the group that refines the block (`coding.zerotrees`)
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> LooseMesh:
-    """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4)."""
     check_block(heights, mask)
     check_block(trees, mask)
     mask = np.ascontiguousarray(mask)
@@ -88,7 +87,6 @@ def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
 
 @kernel
 def _collect(mask, cut, vertex_of, corners):
-    """Fill `corners` with the triangles, mark their samples; return their number."""
     n_rows, n_cols = mask.shape
     count = 0
     for row in range(n_rows - 1):

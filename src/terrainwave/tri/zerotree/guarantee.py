@@ -158,7 +158,6 @@ def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, mo
 
 @kernel
 def _fits(heights, a, b, c, tolerance):
-    """Check a triangle of three packed roots."""
     return fits(
         heights, a >> _ROW_SHIFT, a & _COL_MASK, b >> _ROW_SHIFT, b & _COL_MASK, c >> _ROW_SHIFT,
         c & _COL_MASK, tolerance,
