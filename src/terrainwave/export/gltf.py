@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ GROUND_COLOR = 225, 221, 212
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
-def gltf_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
+def write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     """Return a .gltf file of a mesh whose y points upwards; `about` becomes extras of the mesh."""
     document, data = _document(mesh, about)
     uri = base64.b64encode(data).decode("ascii")
@@ -34,7 +35,7 @@ def gltf_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
     return _as_json(document)
 
 
-def glb_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
+def write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     """Return a .glb file of a mesh whose y points upwards; `about` becomes extras of the mesh."""
     document, data = _document(mesh, about)
     text = _as_json(document)

@@ -6,7 +6,6 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.scratch import Scratch
 
 Frame = TypeVar("Frame")
@@ -72,7 +71,6 @@ Marked = tuple[int, int, float]
 class FollowingMesh(ABC, Generic[Frame]):
     """A mesh that follows a camera."""
 
-    _least_for: str  # what has one vertex in any view
     _n_vertices = 0
 
     def __init__(
@@ -108,13 +106,6 @@ class FollowingMesh(ABC, Generic[Frame]):
         `is_stepwise`, of a `DynamicMesh`: change by one height at most, as in the paper, except for
         the first view and if the budget requires more; the mesh may lag behind the view.
         """
-        if not tau > 0 or not morph >= 1:
-            raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
-        if max_vertices is not None and max_vertices < self.least_vertices:
-            raise InvalidHeightsError(
-                f"found max_vertices {max_vertices}, expected at least one per {self._least_for}: "
-                f"{self.least_vertices}"
-            )
         limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
         pressure = self._pressure
         pressure.relieve()

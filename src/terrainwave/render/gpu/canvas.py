@@ -46,6 +46,12 @@ def create_context() -> Any:
     raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
 
 
+def _open_photo(terrain: TerrainFile, path: str) -> "Photo":
+    from terrainwave.raster_io.drape import Photo  # imported late: rasterio
+
+    return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
+
+
 def _from_above(
     frame: Frame, eye: NDArray[np.float64], region: Region, near: float, far: float
 ) -> NDArray[np.float64]:
@@ -96,12 +102,7 @@ class Canvas:
         from terrainwave.render.gpu.renderer import Renderer  # imported late: moderngl
         from terrainwave.render.gpu.surfaces import surface_of
 
-        self.photo: "Photo | None" = None
-        if drape is not None:
-            from terrainwave.raster_io.drape import Photo  # imported late: rasterio
-
-            affine = terrain.raster_info.transform
-            self.photo = Photo(drape, crs=terrain.crs, affine=affine, shape=terrain.shape)
+        self.photo = None if drape is None else _open_photo(terrain, drape)
         side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
         if is_late:  # finer parts follow as the camera approaches
             side = min(side, DETAIL_SIDE)

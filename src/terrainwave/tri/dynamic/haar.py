@@ -33,7 +33,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.followed import CLOSED
 
 # Rows of `HaarTree.layout`, one per height: first node, rows and columns of nodes.
@@ -42,7 +41,6 @@ FIRST, N_ROWS, N_COLS = 0, 1, 2
 ERROR, LOW, HIGH = 0, 1, 2
 # Replaces an error: the node touches the outline.
 OUTLINE = -1.0
-MAX_TOP = 12
 # A float32 is within this share of what it was rounded from.
 _ROUNDING = 2.0**-23
 
@@ -82,21 +80,8 @@ def build_tree(
     With `is_surface` errors hold for the whole bilinear surface of the samples, not only at
     samples. The measured error takes O(n log(patch)) for n samples, some 0.1 µs each and height.
     """
-    heights = np.asarray(heights)
-    if heights.ndim != 2 or not heights.size:
-        raise InvalidHeightsError(f"found heights of shape {heights.shape}, expected rows, columns")
-    if patch < 2 or patch & (patch - 1) or patch > 1 << MAX_TOP:
-        raise InvalidHeightsError(f"found patch {patch}, expected a power of two from 2 to 4096")
-    if (open_sides[2] and heights.shape[0] % patch) or (open_sides[3] and heights.shape[1] % patch):
-        raise InvalidHeightsError(f"found shape {heights.shape} and open sides, expected patches")
-    if error not in ("measured", "paper"):
-        raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
     valid = np.isfinite(heights)
     if mask is not None:
-        if np.shape(mask) != heights.shape:
-            raise InvalidHeightsError(
-                f"found a mask of shape {np.shape(mask)}, expected that of heights: {heights.shape}"
-            )
         valid &= mask
     layout = _layout(heights.shape, patch)
     counts = layout[:, N_ROWS] * layout[:, N_COLS]

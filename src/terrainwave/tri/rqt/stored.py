@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
-from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
+from terrainwave.tri.triangle import MAX_TOLERANCE, area_of, fits
 
 Selection = NDArray[np.uint8]
 
@@ -43,19 +43,17 @@ def select_vertices(
     coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
     """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh."""
-    check_block(heights, mask)
     mask = np.ascontiguousarray(mask)
     rows, cols = virtual_places(heights.shape)
     selection = void_edges(mask)[np.ix_(rows, cols)].astype(np.uint8)
     if keep is not None:
-        check_block(keep, mask)
         at_rows, at_cols = np.nonzero(keep)
         selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
     if coefficients is not None:
         is_large = coefficients << FRACTION_BITS > tolerance
         selection |= is_large[np.ix_(rows, cols)]
     _select(
-        np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
+        np.ascontiguousarray(heights), mask, min(tolerance, MAX_TOLERANCE), rows, cols,
         coefficients is None, selection,
     )  # fmt: skip
     stack = _new_stack(len(rows))
@@ -197,7 +195,7 @@ def _start_walk(first, n, stack):
 
 
 @kernel
-def _split_top(selection, stack, depth):
+def split_top(selection, stack, depth):
     """Replace the triangle at ``stack[depth]`` by its halves if it is split; return whether."""
     r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
     if (r0 + r1) & 1 or (c0 + c1) & 1:
@@ -225,7 +223,7 @@ def _split_lines(rows, cols, stack, selection):
         depth = 1
         while depth > 0:
             depth -= 1
-            if _split_top(selection, stack, depth):
+            if split_top(selection, stack, depth):
                 depth += 2
                 continue
             r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
@@ -271,7 +269,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
         depth = 1
         while depth > 0:
             depth -= 1
-            if _split_top(selection, stack, depth):
+            if split_top(selection, stack, depth):
                 depth += 2
                 continue
             r0, c0 = rows[stack[depth, 0]], cols[stack[depth, 1]]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
-from terrainwave.tri.triangle import area_of, check_block, deviation
+from terrainwave.tri.triangle import area_of, deviation
 from terrainwave.tri.zerotree.labels import Cut, Trees, promote, root_along, set_node
 from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
@@ -41,8 +41,6 @@ def loose_mesh(
     trees: Trees,  # zero trees of the group that refines the block (`coding.zerotrees`)
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> LooseMesh:
-    check_block(heights, mask)
-    check_block(trees, mask)
     mask = np.ascontiguousarray(mask)
     kept = void_edges(mask)
     if keep is not None:

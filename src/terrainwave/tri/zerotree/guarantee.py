@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.quads import Keep, void_edges
-from terrainwave.tri.triangle import check_block, check_tolerance, fits
+from terrainwave.tri.triangle import MAX_TOLERANCE, fits
 from terrainwave.tri.zerotree.labels import (
     Cut,
     Trees,
@@ -49,11 +49,7 @@ def guaranteed_cut(
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> Cut:
     """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh."""
-    check_block(heights, mask)
-    tolerance = check_tolerance(tolerance)
-    for other in (trees, keep):
-        if other is not None:
-            check_block(other, mask)
+    tolerance = min(tolerance, MAX_TOLERANCE)
     kept = void_edges(mask)
     if keep is not None:
         kept |= keep

@@ -28,7 +28,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.tri.block_mesh import FRACTION_BITS
 from terrainwave.tri.quads import void_edges
-from terrainwave.tri.triangle import check_block, check_tolerance
+from terrainwave.tri.triangle import MAX_TOLERANCE
 from terrainwave.tri.zerotree.labels import (
     Cut,
     Trees,
@@ -66,7 +66,6 @@ def encode_refinement(
 
     `decode_refinement` with the same arguments undoes it.
     """
-    check_block(cut, mask)
     coded = []
     out, reached = np.empty(cut.size + 64, dtype=np.uint8), np.empty(cut.shape, dtype=np.uint8)
     for kind in (BY_HEIGHT, BY_ROUGHNESS):
@@ -123,10 +122,7 @@ def _side_information(
     kind: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return the ceilings of nodes, and their roughness (empty if contexts don't need it)."""
-    check_block(heights, mask)
-    tolerance = check_tolerance(tolerance)
-    if trees is not None:
-        check_block(trees, mask)
+    tolerance = min(tolerance, MAX_TOLERANCE)
     ceiling = ceilings(void_edges(mask), trees)
     if kind == BY_HEIGHT:
         return ceiling, np.zeros((0, 0, 0), dtype=np.uint8)
