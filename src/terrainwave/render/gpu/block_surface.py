@@ -36,15 +36,17 @@ void main() {
 )
 
 
-def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
-    """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts.
-
-    Cells are cut from their first corner to their last, as in `regular.half_place`.
-    """
+def cells_of(n: int) -> NDArray[np.uint32]:
+    """Return the triangles of n x n vertices: cells cut from their first corner to their last."""
     numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
     c, d = numbers[1:, :-1].ravel(), numbers[1:, 1:].ravel()
-    cells = np.concatenate([np.column_stack([a, d, b]), np.column_stack([a, c, d])])
+    return np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
+
+
+def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+    """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts."""
+    numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     rim = np.concatenate([numbers[0, :-1], numbers[:-1, -1], numbers[-1, :0:-1], numbers[:0:-1, 0]])
     upper, lower = rim, n * n + np.arange(len(rim), dtype=np.uint32)
     after, lower_after = np.roll(upper, -1), np.roll(lower, -1)
@@ -54,7 +56,7 @@ def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
     rows, cols = np.divmod(np.concatenate([numbers.ravel(), rim]), n)
     cols[n * n :] |= _SKIRT
     places = np.column_stack([cols, rows]).astype(np.uint16)
-    return places, np.concatenate([cells, skirts]).astype(np.uint32)
+    return places, np.concatenate([cells_of(n), skirts]).astype(np.uint32)
 
 
 class BlockStore:

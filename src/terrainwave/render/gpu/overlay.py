@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.place.meaning import RADIUS
-from terrainwave.render.gpu.surface import release_all
+from terrainwave.render.gpu.surface import program_of, release_all
 from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink, pillow
 from terrainwave.render.scene.camera import Camera, Viewport, project
 from terrainwave.render.scene.measure import Profile, distance_text
@@ -195,14 +195,10 @@ class Overlay:
 
     def __init__(self, context: Any) -> None:
         self._context = context
-        self._program = context.program(
-            vertex_shader=_VERTEX.strip(), fragment_shader=_FRAGMENT.strip()
-        )
+        self._program = program_of(context, _VERTEX, _FRAGMENT)
         self._array = context.vertex_array(self._program, [])
         self._texture: Any = None
-        self._line_program = context.program(
-            vertex_shader=_LINE_VERTEX.strip(), fragment_shader=_LINE_FRAGMENT.strip()
-        )
+        self._line_program = program_of(context, _LINE_VERTEX, _LINE_FRAGMENT)
 
     def draw_line(self, points: NDArray[np.float64], camera: Camera, viewport: Viewport) -> None:
         corners = line_triangles(project(camera, viewport, points)[:, :2], viewport)
@@ -220,8 +216,7 @@ class Overlay:
         height, width, _ = change.image.shape
         size = width, height
         if self._texture is None or self._texture.size != size:
-            if self._texture is not None:
-                self._texture.release()
+            release_all(self._texture)
             self._texture = self._context.texture(size, 4, alignment=4)
             self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         if change.n_rows:

@@ -30,9 +30,7 @@ class Surface(ABC):
 
     def __init__(self, context: Any, store: Any, vertex_shader: str) -> None:
         self._context, self.store = context, store
-        self.program = context.program(
-            vertex_shader=vertex_shader.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
-        )
+        self.program = program_of(context, vertex_shader, TERRAIN_FRAGMENT)
 
     @abstractmethod
     def submit(self, scene: Scene, view: View, frames: Frames) -> int:
@@ -100,6 +98,21 @@ class InstancedSurface(Surface):
     @abstractmethod
     def draw(self, nodes: NDArray[np.int32], n: int) -> int:
         """Draw the `n` instances of those `nodes` that are not void; return the draw calls."""
+
+
+def program_of(context: Any, vertex_shader: str, fragment_shader: str) -> Any:
+    return context.program(
+        vertex_shader=vertex_shader.strip(), fragment_shader=fragment_shader.strip()
+    )
+
+
+def picture_of(context: Any, pixels: NDArray[np.uint8], filtering: int) -> Any:
+    """Return a texture of uint8 (height, width, n_components), not repeated beyond its sides."""
+    height, width, n_components = pixels.shape
+    texture = context.texture((width, height), n_components, pixels.tobytes(), alignment=1)
+    texture.repeat_x = texture.repeat_y = False
+    texture.filter = (filtering, filtering)
+    return texture
 
 
 def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.render.gpu.block_surface import cells_of
 from terrainwave.render.gpu.front_surface import CUT_OFF, FrontStore
 from terrainwave.render.gpu.shaders import OUTPUTS
 from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
@@ -124,11 +125,7 @@ void main() {
 def tree_grid(side: int) -> Grid:
     """Return vertices (column, row) and triangles of a tree's quads, cut like the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
-    numbers = np.arange((side + 1) ** 2, dtype=np.uint32).reshape(side + 1, side + 1)
-    a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
-    d, c = numbers[1:, :-1].ravel(), numbers[1:, 1:].ravel()
-    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return np.column_stack([cols, rows]).astype(np.uint16), triangles
+    return np.column_stack([cols, rows]).astype(np.uint16), cells_of(side + 1)
 
 
 def skirt_grid(shape: tuple[int, int]) -> Grid:

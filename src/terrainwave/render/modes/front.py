@@ -80,23 +80,6 @@ class PatchFrame(NamedTuple):
     error: float
 
 
-class PatchSamples(NamedTuple):
-    """A rectangle of a level."""
-
-    region: Region
-    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
-    # shape (n_rows, n_cols, 3); metres per metre to the east and to the north, and heights
-    # (`HeightTexels`)
-    slopes: NDArray[np.float16]
-
-
-class Continued(NamedTuple):
-    """The heights of a patch, and of samples beyond the raster's outline."""
-
-    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
-    lead: tuple[int, int]  # rows and columns before those of the patch
-
-
 @dataclass(frozen=True)
 class FrontPatch:
     """Result of `build`: a mesh that follows the camera over samples of one level."""
@@ -104,10 +87,10 @@ class FrontPatch:
     piece: Piece
     region: Region  # of the level
     matrix: tuple[float, ...]  # positions of its samples in local metres, counted from its first
-    slopes: NDArray[np.float16]  # as of `PatchSamples`
-    # over `Continued.heights`: a DynamicMesh or a RestrictedMesh; None if there is nothing to draw
+    slopes: NDArray[np.float16]  # of `Texels.of`
+    # over its continued heights: a DynamicMesh or a RestrictedMesh; None if all is void
     mesh: Any
-    lead: tuple[int, int]  # as of `Continued`
+    lead: tuple[int, int]  # rows and columns of continued heights before those of the patch
     error: float  # largest distance of originals from triangles between all samples, metres
     children: list[NodeInfo]
     side: int  # samples per side of the mode's largest patches
@@ -211,11 +194,14 @@ class FrontMode(Mode):
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
 
-    def _continue(self, piece: Piece, region: Region, heights: NDArray[np.float64]) -> Continued:
+    def _continue(
+        self, piece: Piece, region: Region, heights: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], tuple[int, int]]:
         """Continue the heights of a patch beyond the outline, if it has a part of that.
 
         A mesh may end short of its last samples, and a coarse level ends short of the raster. The
-        continuation makes it cover the whole raster; shaders clip the rest.
+        continuation makes it cover the whole raster; shaders clip the rest. The second result are
+        rows and columns before those of the patch.
         """
         grid, outside, beyond = self.terrain.grid, [], []
         shape, stride = grid.level_shape(piece.level), grid.stride(piece.level)
@@ -234,7 +220,7 @@ class FrontMode(Mode):
         linear = with_outside(heights, *wide.shape)
         # If one of the last two is void, repeat the last.
         wide = np.where(np.isnan(linear), wide, linear)
-        return Continued(np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0]))
+        return np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0])
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
         grid = self.terrain.grid
@@ -276,16 +262,13 @@ class FrontMode(Mode):
         region = self.region(piece)
         info = self._info(piece)
         children = self.children(piece)
-        samples = self.read(piece.level, region)
+        heights, slopes = self.read(piece.level, region)
         go_on(is_cancelled)
-        a, b, c, d, e, f = self.frame.sample_matrix
-        stride = self.terrain.grid.stride(piece.level)
-        row, col = region.row * stride, region.col * stride
-        x, y = a * col + b * row + c, d * col + e * row + f
-        matrix = a * stride, b * stride, x, d * stride, e * stride, y
+        matrix = self.frame.matrix_of(region, self.terrain.grid.stride(piece.level))
         error, mesh = info.error, None
-        heights, lead = self._continue(piece, region, samples.heights)
-        if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
+        is_void = np.isnan(heights).all()
+        heights, lead = self._continue(piece, region, heights)
+        if min(self.terrain.shape) > 1 and not is_void:
             if piece.level < self.n_levels - 1:  # originals also lie between samples
                 error += twist_of(heights)
             mesh = self.make_mesh(
@@ -293,7 +276,7 @@ class FrontMode(Mode):
                 base_error=error, open_sides=_ALL_OPEN, scratch=self.scratch,
             )  # fmt: skip
         return FrontPatch(
-            piece, region, matrix, samples.slopes, mesh, lead, error, children, self.side,
+            piece, region, matrix, slopes, mesh, lead, error, children, self.side,
             self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
         )  # fmt: skip
 
@@ -312,7 +295,8 @@ class FrontMode(Mode):
     def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> Any:
         """Return the mesh of a patch, `given` most of its arguments. Thread-safe."""
 
-    def read(self, level: int, region: Region) -> PatchSamples:
+    def read(self, level: int, region: Region) -> tuple[NDArray[np.float64], NDArray[np.float16]]:
+        """Return heights of a level, metres, NaN in voids, and `Texels` of it. Thread-safe."""
         terrain = self.terrain
         whole = Region(0, 0, *terrain.grid.level_shape(level))
         wide = Region(region.row - 1, region.col - 1, region.n_rows + 2, region.n_cols + 2)
@@ -325,7 +309,7 @@ class FrontMode(Mode):
         slopes = self._texels.of(
             (quanta, mask), first, region.shape, region.shape, terrain.grid.stride(level)
         )
-        return PatchSamples(region, heights, slopes)
+        return heights, slopes
 
     # Loading and dropping of pieces
 

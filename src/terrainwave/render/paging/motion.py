@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -60,9 +59,7 @@ class Motion:
         speed = (now.eye - before.eye) / seconds
         cameras = []
         for later in AHEAD:
-            x, y, z = now.eye + speed * later
             # Turns last less long than flights.
             share = min(later, 1.0) / seconds
-            there = replace(now, position=(float(x), float(y), float(z)))
-            cameras.append(look(there, turn * share, tilt * share))
+            cameras.append(look(now.at(now.eye + speed * later), turn * share, tilt * share))
         return cameras

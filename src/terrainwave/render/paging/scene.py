@@ -57,18 +57,11 @@ class PieceStore(Protocol):
     """Store of what `Mode.build` returns, for drawing: the GPU, or a list in tests."""
 
     @property
-    def max_blocks(self) -> int:
-        """Return how many pieces fit."""
-
-    def put(self, node: int, built: Any) -> bool:
-        """Keep what was built; false if there is no room."""
-
-    def drop(self, node: int) -> None:
-        """Forget it."""
-
+    def max_blocks(self) -> int: ...
+    def put(self, node: int, built: Any) -> bool: ...  # false if there is no room
+    def drop(self, node: int) -> None: ...
     @property
-    def n_bytes(self) -> int:
-        """Return the bytes of what is kept."""
+    def n_bytes(self) -> int: ...
 
 
 @dataclass

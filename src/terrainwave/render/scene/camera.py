@@ -7,6 +7,7 @@ The GPU gets positions relative to the eye, so that large map coordinates don't 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,10 @@ class Camera:
     def forward(self) -> Vector:
         forward: Vector = self.axes[2]
         return forward
+
+    def at(self, place: Vector) -> Self:
+        x, y, z = place.tolist()
+        return replace(self, position=(x, y, z))
 
 
 @dataclass(frozen=True)
@@ -233,8 +238,7 @@ def _framed(corners: Vector, viewport: Viewport, heading: float, pitch: float | 
             shares = (seen[:, axis] - centre[axis]) / depths
             off = (shares.max() + shares.min() - least - most) / 2
             centre[axis] += off * float(depths.min())
-    x, y, z = centre @ camera.axes
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(centre @ camera.axes)
 
 
 def _window(camera: Camera, viewport: Viewport) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -275,8 +279,7 @@ def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
 
 
 def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:
-    x, y, z = camera.eye + np.array([right, up, forward]) @ camera.axes
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(camera.eye + np.array([right, up, forward]) @ camera.axes)
 
 
 def look(camera: Camera, d_heading: float, d_pitch: float) -> Camera:
@@ -288,13 +291,11 @@ def orbit(camera: Camera, pivot: Vector, d_heading: float, d_pitch: float) -> Ca
     """Return the camera rotated around a point, which keeps its position in the picture."""
     seen = camera.axes @ (camera.eye - pivot)
     turned = look(camera, d_heading, d_pitch)
-    x, y, z = pivot + seen @ turned.axes
-    return replace(turned, position=(float(x), float(y), float(z)))
+    return turned.at(pivot + seen @ turned.axes)
 
 
 def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
-    x, y, z = towards + (camera.eye - towards) * factor
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(towards + (camera.eye - towards) * factor)
 
 
 def along(cameras: list[Camera], share: float) -> Camera:
@@ -304,14 +305,14 @@ def along(cameras: list[Camera], share: float) -> Camera:
     """
     if len(cameras) == 1:
         return cameras[0]
-    place = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
-    key = min(int(place), len(cameras) - 2)
-    t = place - key
+    passed = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
+    key = min(int(passed), len(cameras) - 2)
+    t = passed - key
     before, start, end, after = (
         cameras[min(max(key + k, 0), len(cameras) - 1)] for k in (-1, 0, 1, 2)
     )
     p_0, p_1, p_2, p_3 = before.eye, start.eye, end.eye, after.eye
-    x, y, z = 0.5 * (
+    place = 0.5 * (
         2 * p_1
         + (p_2 - p_0) * t
         + (2 * p_0 - 5 * p_1 + 4 * p_2 - p_3) * t**2
@@ -320,8 +321,8 @@ def along(cameras: list[Camera], share: float) -> Camera:
     smooth = t * t * (3 - 2 * t)
     turn = (end.heading - start.heading + 180) % 360 - 180
     return Camera(
-        (float(x), float(y), float(z)),
+        (0.0, 0.0, 0.0),
         (start.heading + turn * smooth) % 360,
         start.pitch + (end.pitch - start.pitch) * smooth,
         start.fov + (end.fov - start.fov) * smooth,
-    )
+    ).at(place)

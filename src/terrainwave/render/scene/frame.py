@@ -145,6 +145,13 @@ class Frame:
         low, high = self.box
         return float(high[2] - low[2]), math.hypot(*(high - low)[:2])
 
+    def matrix_of(self, region: Region, stride: int) -> tuple[float, ...]:
+        """Return `sample_matrix` of every `stride`-th sample, counted from a region's first."""
+        a, b, c, d, e, f = self.sample_matrix
+        row, col = region.row * stride, region.col * stride
+        x, y = a * col + b * row + c, d * col + e * row + f
+        return a * stride, b * stride, x, d * stride, e * stride, y
+
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
         return np.column_stack(pixels_to_places(self.sample_matrix, rows, cols))

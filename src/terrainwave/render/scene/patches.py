@@ -124,9 +124,11 @@ class PatchBuilder:
         return Piece(*piece.block.parent) if piece.level else None
 
     def _first(self, block: Block, error: float) -> NodeInfo:
-        """Return the first piece of a block below one with this error."""
-        is_finest = block.level == self._terrain.n_levels - 1
-        return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
+        """Return the first piece of a block below one with this error: its coarsest useful one."""
+        variant = 0
+        if block.level == self._terrain.n_levels - 1:
+            variant = self._coarsest(error)
+        return self.info(Piece(*block, variant))
 
     def _coarsest(self, error: float) -> int:
         """Return the coarsest variant that is useful below a piece with this error."""
@@ -305,13 +307,7 @@ class PatchBuilder:
         quanta, mask = self._terrain.decoder.window(block.level, wide)
         below = error + self._heights_error(block) * frame.error_metres
         heights = np.where(mask, self._scale.metres(quanta) - below, -np.inf)
-        a, b, c, d, e, f = frame.sample_matrix
-        stride = grid.stride(block.level)
-        row, col = wide.row * stride, wide.col * stride
-        matrix = np.array([
-            a * stride, b * stride, a * col + b * row + c,
-            d * stride, e * stride, d * col + e * row + f,
-        ])  # fmt: skip
+        matrix = np.array(frame.matrix_of(wide, grid.stride(block.level)))
         cells = inner.n_rows - 1, inner.n_cols - 1
         return floors_of(heights, matrix, cells, (inner.row - wide.row, inner.col - wide.col))
 

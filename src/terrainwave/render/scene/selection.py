@@ -62,31 +62,20 @@ class NodeInfo(NamedTuple):
 
 
 class Built(Protocol):
-    """Result of `Mode.build`; the mode's store knows its other contents."""
+    """Result of `Mode.build`; the mode's store knows its other contents. Lengths in metres."""
 
     @property
-    def children(self) -> list[NodeInfo]:
-        """Return the piece's children; read in the worker, so that drawing never reads."""
-
+    def children(self) -> list[NodeInfo]: ...  # read in the worker, so that drawing never reads
     @property
-    def n_triangles(self) -> int:
-        """Return the number of drawn triangles."""
-
+    def n_triangles(self) -> int: ...
     @property
-    def base(self) -> float:
-        """Return the height of its z = 0, metres."""
-
+    def base(self) -> float: ...  # the height of its z = 0
     @property
-    def error(self) -> float:
-        """Return a guaranteed bound for its surface, metres."""
-
+    def error(self) -> float: ...  # a guaranteed bound for its surface
     @property
-    def morph(self) -> float:
-        """Return the largest distance between its surface and its parent's, metres."""
-
+    def morph(self) -> float: ...  # largest distance between its surface and its parent's
     @property
-    def floors(self) -> Floors | None:
-        """Return lower limits of its surface; None if it must not hide others."""
+    def floors(self) -> Floors | None: ...  # lower limits; None if it must not hide others
 
 
 @dataclass(frozen=True)
@@ -442,12 +431,7 @@ class NodeTable:
 class ErrorGovernor:
     """Raises τ if triangles or time would exceed their limits, and lowers it again.
 
-    Parameters
-    ----------
-    max_triangles : int
-        Budget per frame.
-    target_ms : float, optional
-        Time per frame; None: unlimited.
+    `max_triangles` and `target_ms`, None if unlimited, are those of a frame.
     """
 
     _LARGEST = 64.0
