@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.mesh.mesh_data import MeshData
+from terrainwave.mesh.mesh_data import MeshData, used_only, walls_below
 
 # Distance by which a vertex that joins two corners is moved into each of them, as a share of the
 # way to the middle of a triangle there; halved while a triangle would turn over.
@@ -31,13 +31,13 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
         raise InvalidArgumentError(
             f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
         )
-    vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
+    vertices, triangles = used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)
     n_top = len(vertices)
     below = vertices.copy()
     below[:, 2] = base - mesh.origin[2]
     starts, ends = border_edges(triangles).T
-    walls = _walls(starts, ends, starts + n_top, ends + n_top)
+    walls = walls_below(starts, ends, starts + n_top, ends + n_top)
     bottom = triangles[:, ::-1] + n_top
     about = {"base": float(base), "n_triangles": len(triangles), "moved": moved}
     return replace(
@@ -69,27 +69,12 @@ def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> Me
     below = mesh.vertices[above].copy()
     below[:, 2] += depth if is_downward else -depth
     lower = mesh.n_vertices + places.reshape(2, -1)
-    walls = _walls(starts, ends, *lower)
+    walls = walls_below(starts, ends, *lower)
     return replace(
         mesh,
         vertices=np.concatenate([mesh.vertices, below]),
         triangles=np.concatenate([mesh.triangles, walls]).astype(np.int32),
         attributes=mesh.attributes | {"skirts": Skirts(above, mesh.n_triangles)},
-    )
-
-
-def _walls(
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    starts_below: NDArray[np.int64],
-    ends_below: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Return the two triangles of a wall below each edge, facing outwards."""
-    return np.concatenate(
-        [
-            np.column_stack([ends, starts, starts_below]),
-            np.column_stack([ends, starts_below, ends_below]),
-        ]
     )
 
 
@@ -100,13 +85,6 @@ def border_edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
     size = int(edges.max()) + 1
     forward, backward = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
     return edges[~np.isin(forward, backward)]
-
-
-def _used_only(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    used, places = np.unique(triangles, return_inverse=True)
-    return vertices[used], places.reshape(-1, 3).astype(np.int32)
 
 
 def _split_joints(

@@ -84,3 +84,21 @@ class MeshData:
         """
         area = self.attributes.get("area")
         return self.bounds if area is None else area
+
+
+def used_only(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return vertices and triangles without the vertices that no triangle has."""
+    used, number = np.unique(triangles, return_inverse=True)
+    return vertices[used], number.reshape(triangles.shape).astype(np.int32)
+
+
+def walls_below(
+    starts: NDArray[Any], ends: NDArray[Any], starts_below: NDArray[Any], ends_below: NDArray[Any]
+) -> NDArray[Any]:
+    """Return the two triangles of a wall below each edge, facing outwards."""
+    return np.concatenate([
+        np.column_stack([ends, starts, starts_below]),
+        np.column_stack([ends, starts_below, ends_below]),
+    ])  # fmt: skip

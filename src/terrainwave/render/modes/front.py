@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.mesh_data import walls_below
 from terrainwave.read.decoder import units_of
 from terrainwave.render.modes.mode import NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
@@ -468,9 +469,7 @@ def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
     top, numbers = np.unique(edges, return_inverse=True)
     a, b = edges.T
     lower_a, lower_b = (n + numbers.reshape(edges.shape)).T
-    skirts = np.concatenate(
-        [np.column_stack([b, a, lower_a]), np.column_stack([b, lower_a, lower_b])]
-    )
+    skirts = walls_below(a, b, lower_a, lower_b)
     return Drawn(
         np.concatenate([drawn.vertices, drawn.vertices[top]]),
         np.concatenate([drawn.triangles, skirts.astype(np.int32)]),

@@ -18,6 +18,7 @@ from terrainwave.cache import Cache
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.loose import LooseMesher
+from terrainwave.mesh.mesh_data import walls_below
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
@@ -345,12 +346,5 @@ def _with_skirts(
     below = np.empty(n_ends, dtype=VERTEX)
     below[lower[ends]] = vertices[ends]
     below["col"] |= SKIRT_FLAG
-    below_edges = (len(vertices) + lower[edges]).astype(np.uint32)
-    a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
-    skirts = np.concatenate(
-        [
-            np.column_stack([b, a, below_edges[:, 0]]),
-            np.column_stack([b, below_edges[:, 0], below_edges[:, 1]]),
-        ]
-    )
+    skirts = walls_below(*edges.T, *(len(vertices) + lower[edges]).T).astype(np.uint32)
     return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])
