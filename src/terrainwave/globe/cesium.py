@@ -59,12 +59,6 @@ class TilePyramid(TileScheme):
         Assume that heights are above the ellipsoid, or convert them from the CRS's vertical datum
         by PROJ's grid.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe, heights cannot be converted or are beyond ±4000
-        km, or (when tiles are requested) a zoom is out of range.
-
     Notes
     -----
     Thread-safe. The same file gives the same bytes on any number of threads.
@@ -173,17 +167,6 @@ def write_tiles(
         Replace an existing directory of tiles.
     options
         Of `TilePyramid`.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an option is out of range, or the raster has no position on a globe.
-    CorruptStreamError
-        If a block is damaged.
-    StorageError
-        If something cannot be written.
-    TerrainwaveError
-        If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder", extra="mesh")
     pyramid = TilePyramid(terrain, **options)

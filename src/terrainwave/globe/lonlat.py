@@ -114,8 +114,6 @@ class Globe:
         self.metres = unit.metres
         self.has_radii = unit.is_radius
 
-    # Positions
-
     def to_samples(self, lon: Numbers, lat: Numbers) -> Places:
         """Return fractional rows and columns of the full grid; NaN outside the raster's pixels.
 
@@ -228,8 +226,6 @@ class Globe:
         shift = 360 * math.floor((west + 180) / 360)
         return Extent(west - shift, max(south, -_POLE), east - shift, min(north, _POLE))
 
-    # Heights
-
     @property
     def effective_error(self) -> float:
         return self.terrain.effective_error * abs(self.metres)
@@ -333,8 +329,6 @@ class Globe:
         if ellipsoidal is not None:
             heights = self.heights_on(ellipsoidal, full_rows, full_cols, heights)
         return places, heights
-
-    # Above the ellipsoid
 
     def onto_ellipsoid(self) -> EllipsoidalHeights:
         if self.has_radii:

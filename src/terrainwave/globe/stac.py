@@ -42,18 +42,8 @@ _SHA256 = "1220"  # of a multihash: its code and its length
 def stac_item(terrain: TerrainFile, href: str | None = None) -> dict[str, Any]:
     """Return a STAC item of a file: outline, CRS, resolution, bound, root, checksum; plain values.
 
-    Reads all bytes of the file, for the checksum.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    href : str, optional
-        Address of the file in the item; by default as it was opened.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe.
+    Reads all bytes of the file, for the checksum. `href` is the address of the file in the item; by
+    default as it was opened. Raises `InvalidHeightsError` if the raster has no position on a globe.
     """
     info, name = terrain.info(), str(terrain.name)
     globe = Globe(terrain)

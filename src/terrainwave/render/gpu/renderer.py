@@ -99,8 +99,6 @@ class Renderer:
         )
         self.n_draw_calls = 0
 
-    # Persistent parts
-
     def set_drape(self, drape: Drape) -> None:
         self._drape.release()
         self._drape = _DrapeTexture(self._context, drape)
@@ -144,8 +142,6 @@ class Renderer:
     def set_solid(self, solid: Solid) -> None:
         release_all(self._solid)
         self._solid = SolidSurface(self._context, solid)
-
-    # One frame
 
     def clear(self, view: View, style: Style) -> None:
         """Begin a picture with the sky or the background."""

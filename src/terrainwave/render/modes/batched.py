@@ -102,8 +102,6 @@ class Batched(BoundedMode):
             )
         return detail
 
-    # The tree, from the index
-
     def roots(self) -> list[NodeInfo]:
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
@@ -138,8 +136,6 @@ class Batched(BoundedMode):
         """Return g_0, metres between samples of the finest level."""
         a, b, _, d, e, _ = self.frame.sample_matrix
         return math.sqrt(abs(a * e - b * d))
-
-    # In workers
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
         block = piece.block
@@ -240,8 +236,6 @@ class Batched(BoundedMode):
 
     def _metres(self, quanta: NDArray[np.int32]) -> NDArray[np.float64]:
         return self._scale.metres(quanta) - self._middle
-
-    # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:
         """Return τ / α: h / (2 tan(fov / 2)) (eq. 3), or the guaranteed γ."""

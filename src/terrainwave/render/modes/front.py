@@ -150,8 +150,6 @@ class FrontMode(Mode):
         self.followed: list[Followed] = []  # statistics of their meshes
         self.first_vertices: list[int] = []  # first vertex of each in `drawn`
 
-    # The tree
-
     @property
     def side(self) -> int:
         return min(self._reach, max(self.terrain.shape))
@@ -257,8 +255,6 @@ class FrontMode(Mode):
         largest = max(map(abs, self.frame.height_range))
         return error * self.frame.error_metres + largest * FLOAT32_ROUNDING
 
-    # In worker threads
-
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
         region = self.region(piece)
         info = self._info(piece)
@@ -312,15 +308,11 @@ class FrontMode(Mode):
         )
         return heights, slopes
 
-    # Loading and dropping of pieces
-
     def keep(self, piece: Piece, built: Any) -> None:
         self._patches[piece] = built
 
     def drop(self, piece: Piece) -> None:
         del self._patches[piece]
-
-    # Each frame
 
     def wanted(
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera

@@ -92,8 +92,6 @@ class Mode(ABC):
     def children(self, piece: Piece) -> list[NodeInfo]:
         """Return a piece's children, which replace it all at once; at most four. Thread-safe."""
 
-    # In worker threads
-
     @abstractmethod
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
         """Build the drawable form of a piece. Thread-safe.
@@ -113,8 +111,6 @@ class Mode(ABC):
 
     def drop(self, piece: Piece) -> None:  # noqa: B027
         """Remove a piece that has left the store."""
-
-    # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""

@@ -168,8 +168,6 @@ class Scene:
     def n_cancelled(self) -> int:
         return self._pager.n_cancelled
 
-    # One frame
-
     def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
         """Take what has been built, ask for what is missing, return what to draw. Never waits."""
         started = time.perf_counter()
@@ -281,8 +279,6 @@ class Scene:
 
     def _split_error(self, view: View) -> float:
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
-
-    # Paging
 
     def _forget(self) -> None:
         """Forget pieces far from where the camera is, once many are known."""
@@ -407,8 +403,6 @@ class Scene:
                 if self.store.put(node, built):
                     return True
         return False
-
-    # Everything, a part at a time
 
     def finest_in_view(self, view: View) -> list[int]:
         """Return the nodes of all finest pieces in view; reads the index only."""

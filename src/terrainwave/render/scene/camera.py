@@ -80,9 +80,6 @@ class Viewport:
         return self.width / self.height
 
 
-# Size of an error on screen
-
-
 def focal_length(camera: Camera, viewport: Viewport) -> float:
     """Return pixels per unit of tangent: ½ V_y / tan(φ/2), φ the vertical field of view."""
     return viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
@@ -121,9 +118,6 @@ def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
     return max(gamma_paper(camera, viewport), corner)
 
 
-# Matrices
-
-
 def view_matrix(camera: Camera) -> Vector:
     """Return the rotation from positions relative to the eye to right, up, backward; 4 x 4."""
     matrix = np.eye(4)
@@ -156,9 +150,6 @@ def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
     )
 
 
-# Text form
-
-
 def format_camera(camera: Camera, frame: Frame) -> str:
     """Return x,y,z,heading,pitch,fov: position and height in the file's CRS and unit."""
     x, y, z = frame.to_world(camera.eye[None])[0]
@@ -184,9 +175,6 @@ def parse_camera(line: str, frame: Frame) -> Camera:
         )
     position = frame.to_local(np.array([numbers[:3]]))[0]
     return Camera((position[0], position[1], position[2]), numbers[3], pitch, fov)
-
-
-# Initial views
 
 
 def home(
@@ -273,9 +261,6 @@ def _filled(camera: Camera, viewport: Viewport, corners: Vector) -> float:
 
 def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
     return home(box, viewport, heading=0.0, pitch=-90.0)
-
-
-# Motions
 
 
 def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:

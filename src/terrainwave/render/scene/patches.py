@@ -104,8 +104,6 @@ class PatchBuilder:
             _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
         )
 
-    # From the index
-
     def roots(self) -> list[NodeInfo]:
         return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
 
@@ -194,8 +192,6 @@ class PatchBuilder:
         if block.level == self._terrain.n_levels - 1:
             return self._terrain.quanta_error
         return self._terrain.block_error(block)
-
-    # Patches
 
     def mesh(self, piece: Piece) -> BlockMesh:
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))

@@ -193,7 +193,7 @@ def _screen_error(node, nodes, sight):
     return error * _scale_of(node, nodes, sight, 0.0) if error > 0 else 0.0
 
 
-# Fields of `View.tolerance`: τ; the tolerance for sufficiently dense samples, both pixels; pixels
+# Fields of `Sight.tolerance`: τ; the tolerance for sufficiently dense samples, both pixels; pixels
 # per unit of tangent.
 TOLERANCE_TAU, TOLERANCE_DENSE, TOLERANCE_LENGTH = range(3)
 

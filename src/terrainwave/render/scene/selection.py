@@ -127,17 +127,13 @@ class View:
         rise = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
         return np.array([scale, slant(self.camera, self.viewport) ** 2, rise, *forward])
 
-    def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
-        """Return the argument of `select_kernels.is_fine`, for another τ than the view's."""
-        tau = self.max_pixel_error if tau is None else tau
-        length = focal_length(self.camera, self.viewport)
-        return np.array([tau, tau * self.flatness, length])
-
     def sight(self, tau: float | None = None) -> Sight:
         """Return the argument of kernels, for another τ than the view's."""
+        tau = self.max_pixel_error if tau is None else tau
+        length = focal_length(self.camera, self.viewport)
         return Sight(
             self.planes, self.camera.eye, self.exaggeration, self.lens, self.is_oriented,
-            self.tolerance(tau), *self.horizon,
+            np.array([tau, tau * self.flatness, length]), *self.horizon,
         )  # fmt: skip
 
     @cached_property

@@ -202,9 +202,6 @@ def _lid(overview: _Overview) -> _Faces:
     return vertices, triangles.reshape(-1, 3)
 
 
-# Position and distance
-
-
 def distance_to_walls(frame: Frame, eye: NDArray[np.float64]) -> float:
     """Return the least distance of walls and floor from an eye, local metres."""
     ends = frame.outline

@@ -132,8 +132,6 @@ class DynamicMesh(FollowingMesh[DynamicFrame]):
     def least_vertices(self) -> int:
         return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
 
-    # One frame
-
     def largest_error(self, eye: Eye, followed: Followed) -> float:
         """Return the largest vertical distance of the drawn mesh in view from `heights`.
 
@@ -199,9 +197,6 @@ class DynamicMesh(FollowingMesh[DynamicFrame]):
             self.tree.reach, self._is_bound,
         )  # fmt: skip
         return np.array([*numbers, *self.matrix], dtype=np.float64)
-
-
-# One mesh of many
 
 
 class ForestPart(NamedTuple):
@@ -320,9 +315,6 @@ def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[
     return edges[: fill_rim(open_sides, forest, edges)]
 
 
-# Errors on screen
-
-
 @inlined_kernel
 def screen_error(height, row, col, layout, z, bounds, view, planes):
     """Return the error on screen of a node of height >= 1, in pixels; 0 outside the view (§3.3).
@@ -394,9 +386,6 @@ def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
         if most < 0:
             return True
     return False
-
-
-# Marking
 
 
 @kernel
@@ -570,9 +559,6 @@ def largest_error_in_view(
                 error = np.float64(bounds[inner, HIGH]) - np.float64(bounds[inner, LOW])
             largest = max(largest, error)
     return largest
-
-
-# Vertices
 
 
 @kernel

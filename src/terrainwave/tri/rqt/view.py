@@ -141,8 +141,6 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
         self._active, self._on_screen = np.empty((capacity, 2), dtype=np.int32), np.empty(capacity)
         self._active[:n], self._on_screen[:n] = active, on_screen
 
-    # One frame
-
     @property
     def least_vertices(self) -> int:
         return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
@@ -241,9 +239,6 @@ def _padded(
     return padded
 
 
-# Errors on screen
-
-
 @kernel
 def _stride_of(row, col, tile):
     """Return the stride of a vertex by its position; that of a tile's corners is `tile`."""
@@ -299,9 +294,6 @@ def error_in_box(error, row, col, reach, view, planes):
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
 
 
-# Shares of thresholds
-
-
 @kernel
 def fill_shares(
     errors, tile, active, on_screen, vertex_of, view, planes, start, end, shares
@@ -331,9 +323,6 @@ def fill_shares(
             if 0 <= r < n_rows and 0 <= c < n_cols:
                 needed = vertex_of[r, c]
                 shares[needed] = max(shares[needed], share)
-
-
-# Splits and merges
 
 
 @kernel
@@ -458,9 +447,6 @@ def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
     return n_new
 
 
-# Triangles
-
-
 @kernel
 def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, triangles):
     """Fill the triangles of the active vertices; return their number."""
@@ -528,9 +514,6 @@ def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, c
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
     return _add(((r0, c0), (r1, c1), (r2, c2)), is_mirrored, vertex_of, triangles, count)
-
-
-# Borders
 
 
 @kernel
