@@ -25,7 +25,7 @@ from terrainwave.mesh.codes import full_shape, has_triangles, mesh_codes, sum_co
 from terrainwave.mesh.trees import BlockCoefficients, ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
-from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
+from terrainwave.tri.halves.borders import beside_void, line_vertices
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, StoredSamples
@@ -304,7 +304,16 @@ def border_lines(
 
     `offset` is the position of its first sample in its block of `side` cells.
     """
-    return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
+    row, col = offset
+    lines = []
+    for at, first, tolerance in zip(
+        (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]), (col, col, row, row), tolerances,
+        strict=True,
+    ):  # fmt: skip
+        heights = samples.heights[at].astype(np.int64) << FRACTION_BITS
+        forced = np.ascontiguousarray(samples.locked[at])
+        lines.append(line_vertices(heights, forced, first, side, tolerance))
+    return Lines(*lines)
 
 
 def measure_meshes(

@@ -15,6 +15,7 @@ from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.walls import level_within, read_metres
+from terrainwave.tri.quads import grown
 
 # Values of `Water.cells`: no water; water where heights are 0; water at and below 0.
 LAND, LEVEL, DEEP = 0, 128, 255
@@ -86,24 +87,16 @@ def find_water(
     is_low = valid & (heights <= waves)
     labels = _labels(is_low)
     has_depth = _chosen(labels, np.bincount(labels[valid & (heights < DEEPEST_LAND)]) > 0)
-    area = is_level & _grown(is_level & ~_grown(valid & ~is_level, 1), 1)
+    area = is_level & grown(is_level & ~grown(valid & ~is_level, 1), 1)
     labels = _labels(area)
     n_samples = np.bincount(labels.ravel())
     n_beside = _beside(labels, valid & ~is_level)
     n_lower = _beside(labels, is_low & ~is_level)
     is_sea = (n_lower <= _MOST_LOWER * n_beside) | (n_samples >= _LEAST_WIDTH * n_lower)
     cells = np.full(heights.shape, LAND, dtype=np.uint8)
-    cells[_grown(_chosen(labels, is_sea), _RIM)] = LEVEL
-    cells[_grown(has_depth, _RIM)] = DEEP
+    cells[grown(_chosen(labels, is_sea), _RIM)] = LEVEL
+    cells[grown(has_depth, _RIM)] = DEEP
     return cells
-
-
-def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
-    for _ in range(n_times):
-        wide = np.pad(found, 1)
-        wide = wide[:-2] | wide[1:-1] | wide[2:]
-        found = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
-    return found
 
 
 def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:

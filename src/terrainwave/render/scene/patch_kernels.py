@@ -8,29 +8,6 @@ SKIRT_FLAG = 1 << 15
 
 
 @kernel
-def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
-    """Fill `out`, float64, with heights of a coarser level at vertices, between its samples.
-
-    `rows` and `cols` are those of vertices, in half samples from their block's first, which is
-    `first_row` and `first_col` half samples after the first of `heights` and `mask`, the level
-    above. Past their sides the last two are continued linearly. Next to voids `fallback` is used.
-    """
-    last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
-    step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
-    for k in range(rows.shape[0]):
-        at_row, at_col = rows[k] + first_row, cols[k] + first_col
-        row, col = min(at_row >> 2, last_row), min(at_col >> 2, last_col)
-        down, right = (at_row - 4 * row) / 4, (at_col - 4 * col) / 4
-        below, beside = row + step_row, col + step_col
-        if mask[row, col] and mask[row, beside] and mask[below, col] and mask[below, beside]:
-            upper = heights[row, col] * (1 - right) + heights[row, beside] * right
-            lower = heights[below, col] * (1 - right) + heights[below, beside] * right
-            out[k] = upper * (1 - down) + lower * down
-        else:
-            out[k] = fallback[k]
-
-
-@kernel
 def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
     """Fill `out` with slopes to the east and north and heights for colouring, as float16.
 
@@ -117,35 +94,3 @@ def _mean_around(heights, mask, row, col, factor, shift):
                 total += float(heights[at]) * factor + shift
                 n += 1
     return total / n if n else 0.0
-
-
-@kernel
-def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
-    """Fill the edges of triangles on a block's border; return the numbers of edges and ends.
-
-    `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
-    `lower` receives, for each vertex, its number among the ends of edges, -1 elsewhere.
-    """
-    n_edges, n_ends = 0, 0
-    for v in range(rows.shape[0]):
-        is_border = rows[v] == 0 or rows[v] == last_row or cols[v] == 0 or cols[v] == last_col
-        lower[v] = -1 if is_border else -2
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            a = triangles[t, k]
-            if lower[a] == -2:
-                continue
-            b = triangles[t, (k + 1) % 3]
-            if lower[b] == -2:
-                continue
-            same_row = rows[a] == rows[b] and (rows[a] == 0 or rows[a] == last_row)
-            same_col = cols[a] == cols[b] and (cols[a] == 0 or cols[a] == last_col)
-            if (same_row or same_col) and n_edges < edges.shape[0]:
-                edges[n_edges, 0] = a
-                edges[n_edges, 1] = b
-                n_edges += 1
-                for end in (a, b):
-                    if lower[end] == -1:
-                        lower[end] = n_ends
-                        n_ends += 1
-    return n_edges, n_ends

@@ -321,16 +321,3 @@ def bounded_errors(drawn, nodes, morphs, parents, sight, start, end, out):
             if spread > 0:
                 share = min(share, max(allowed - own, 0.0) / spread)
         out[k, 0], out[k, 1], out[k, 2] = share, own + share * spread, allowed
-
-
-@kernel
-def priorities(asked, nodes, sight, forward, out):
-    """Fill w = u·V / d of each node: u and d towards its centre (Zhang et al. 2012, eq. 13)."""
-    nodes, sight = borrowed(nodes), borrowed(sight)
-    eye = sight.eye
-    for k in range(asked.shape[0]):
-        low, high = _box_of(asked[k], nodes, sight.z_scale, 0.0)
-        x, y = (low[0] + high[0]) / 2 - eye[0], (low[1] + high[1]) / 2 - eye[1]
-        z = (low[2] + high[2]) / 2 - eye[2]
-        square = max(x * x + y * y + z * z, 1e-12)
-        out[k] = (x * forward[0] + y * forward[1] + z * forward[2]) / square

@@ -23,7 +23,6 @@ from terrainwave.render.scene.select_kernels import (
     bounded_errors,
     fine_nodes,
     node_scales,
-    priorities,
     select_nodes,
     wanted_nodes,
 )
@@ -412,15 +411,17 @@ class NodeTable:
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.
 
-        Those without resident children that are not in `keep`, by w = u·V / d.
+        Those without resident children that are not in `keep`, by w = u·V / d, u and d towards
+        their centres (Zhang et al. 2012, eq. 13).
         """
         n = len(self)
         inner = np.zeros(n, dtype=np.bool_)
         parents = self.parents[:n][self.is_resident[:n]]
         inner[parents[parents >= 0]] = True
         nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
-        ranks = np.empty(len(nodes))
-        priorities(nodes, self._arrays(), view.sight(), view.camera.forward, ranks)
+        low, high = self.boxes(nodes, view.exaggeration)
+        away = (low + high) / 2 - view.camera.eye
+        ranks = away @ view.camera.forward / np.maximum((away * away).sum(axis=1), 1e-12)
         return nodes[np.argsort(ranks, kind="stable")]
 
 

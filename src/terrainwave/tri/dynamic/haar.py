@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.followed import CLOSED
+from terrainwave.tri.quads import grown
 
 # Rows of `HaarTree.layout`, one per height: first node, rows and columns of nodes.
 FIRST, N_ROWS, N_COLS = 0, 1, 2
@@ -92,10 +93,16 @@ def build_tree(
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
     bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
     is_near_void = np.empty(len(z), dtype=np.bool_)
-    if error == "paper":  # which does not consider the outline
-        _mark_near_voids(leaves, heights.shape, (True, True, True, True), is_near_void)
-    else:
-        _mark_near_voids(leaves, leaves.shape, open_sides, is_near_void)
+    near = np.zeros(leaves.shape, dtype=np.bool_)
+    # The paper's errors do not consider the outline.
+    shape = heights.shape if error == "paper" else leaves.shape
+    near[: shape[0], : shape[1]] = grown(np.isnan(leaves[: shape[0], : shape[1]]), 1)
+    if error != "paper":
+        for line, is_open in zip(
+            (near[0], near[:, 0], near[-1], near[:, -1]), open_sides, strict=True
+        ):
+            line |= not is_open
+    is_near_void[: leaves.size] = near.ravel()
     for height in range(1, len(layout)):
         _average(height, layout, z, is_near_void)
         if error == "paper":
@@ -116,26 +123,6 @@ def _layout(shape: tuple[int, ...], patch: int) -> NDArray[np.int64]:
         layout[height] = first, n_rows, n_cols
         first += n_rows * n_cols
     return layout
-
-
-@kernel
-def _mark_near_voids(leaves, shape, open_sides, is_near_void):
-    """Mark each sample next to a void or outside one, and void ones.
-
-    Samples beyond `shape` are not marked.
-    """
-    is_near_void[: leaves.size] = False
-    n_rows, n_cols = shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            is_near = (row == 0 and not open_sides[0]) or (col == 0 and not open_sides[1])
-            is_near = is_near or (row == n_rows - 1 and not open_sides[2])
-            is_near = is_near or (col == n_cols - 1 and not open_sides[3])
-            if not is_near:
-                for r in range(max(row - 1, 0), min(row + 2, n_rows)):
-                    for c in range(max(col - 1, 0), min(col + 2, n_cols)):
-                        is_near = is_near or np.isnan(leaves[r, c])
-            is_near_void[row * leaves.shape[1] + col] = is_near
 
 
 @kernel

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.block_mesh import FRACTION_BITS
 
 # Vertices on borders keep within 7/10 of the tolerance, which leaves some to the adjacent
 # triangles.
@@ -59,33 +58,6 @@ def line_vertices(heights, forced, offset, side, tolerance):
     vertices[0] = True
     vertices[n - 1] = True
     return vertices
-
-
-@kernel
-def vertices_of_lines(heights, locked, row, col, side, top, bottom, left, right):
-    """Return which samples of a rectangle's top, bottom, left and right line are vertices.
-
-    By `line_vertices`, within a tolerance for each line in 1/16 quanta. `row` and `col` are the
-    position of the rectangle's first sample in its block of `side` cells.
-    """
-    n_rows, n_cols = heights.shape
-    return (
-        _vertices_of_line(heights, locked, 0, 0, n_cols, True, col, side, top),
-        _vertices_of_line(heights, locked, n_rows - 1, 0, n_cols, True, col, side, bottom),
-        _vertices_of_line(heights, locked, 0, 0, n_rows, False, row, side, left),
-        _vertices_of_line(heights, locked, 0, n_cols - 1, n_rows, False, row, side, right),
-    )
-
-
-@kernel
-def _vertices_of_line(heights, locked, row, col, n, is_row, offset, side, tolerance):
-    """Return `line_vertices` of `n` samples from (row, col) on, in quanta."""
-    line, forced = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
-    for k in range(n):
-        at_row, at_col = (row, col + k) if is_row else (row + k, col)
-        line[k] = np.int64(heights[at_row, at_col]) << FRACTION_BITS
-        forced[k] = locked[at_row, at_col]
-    return line_vertices(line, forced, offset, side, tolerance)
 
 
 def beside_void(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
-from terrainwave.tri.rqt.morph import number_vertices, place_vertices
+from terrainwave.tri.rqt.morph import place_vertices
 from terrainwave.tri.rqt.stored import neighbours, split_top
 from terrainwave.tri.rqt.vertex_errors import (
     is_corner,
@@ -150,8 +150,9 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
         take, active = self._scratch.take, self._active[:n]
         start, end = followed.threshold, followed.tau
         vertex_of = take("vertex_of", self._is_active.shape, np.int32)
-        shares, heights = take("shares", (n,), np.float64), take("heights", (n,), np.float64)
-        number_vertices(active, self._heights, vertex_of, heights)
+        shares, at = take("shares", (n,), np.float64), tuple(active.T)
+        vertex_of[at] = np.arange(n)
+        heights = self._heights[at].astype(np.float64)
         if end > start:
             fill_shares(
                 self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,

@@ -53,20 +53,19 @@ def guaranteed_cut(
     kept = void_edges(mask)
     if keep is not None:
         kept |= keep
-    roots = np.empty(heights.shape, dtype=np.int32)
-    cut = np.zeros(heights.shape, dtype=np.uint8)
+    rows, cols = np.indices(heights.shape, dtype=np.int32)
+    roots, cut = rows << _ROW_SHIFT | cols, np.zeros(heights.shape, dtype=np.uint8)
     _merge(np.ascontiguousarray(heights), ceilings(kept, trees), tolerance, roots, cut)
-    return cut
+    return cut[roots >> _ROW_SHIFT, roots & _COL_MASK]
 
 
 @kernel
 def _merge(heights, ceiling, tolerance, roots, cut):
-    """Algorithm I; `roots` (row << 16 | column of each sample's root) and `cut` are filled."""
+    """Algorithm I; `roots` are row << 16 | column of each sample's root, at first its own.
+
+    Afterwards `cut` is valid at roots.
+    """
     n_rows, n_cols = heights.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            roots[row, col] = row << _ROW_SHIFT | col
-            cut[row, col] = 0
     for height in range(1, top_height(n_rows, n_cols) + 1):
         for i in range(axis_nodes(n_rows, height)):
             row = first_sample(i, n_rows, height)
@@ -100,10 +99,6 @@ def _merge(heights, ceiling, tolerance, roots, cut):
                     line = roots[r]
                     for c in range(col, col_end):
                         line[c] = root
-    for row in range(n_rows):
-        for col in range(n_cols):
-            root = np.int64(roots[row, col])
-            cut[row, col] = cut[root >> _ROW_SHIFT, root & _COL_MASK]
 
 
 @kernel
