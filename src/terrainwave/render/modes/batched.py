@@ -83,7 +83,12 @@ class Batched(BoundedMode):
     ) -> None:
         super().__init__(needs, orientation=orientation)
         terrain, frame = self.terrain, self.frame
-        self._mu = self._checked_detail(detail)
+        if detail is not None and self.error != "paper":
+            raise InvalidArgumentError(
+                f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
+                " measured errors need no factor"
+            )
+        self._mu = MU if detail is None else detail
         self._order = order
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
@@ -91,16 +96,6 @@ class Batched(BoundedMode):
         low, high = frame.height_range
         self._middle, self._largest = (low + high) / 2, (high - low) / 2
         self._grids: Cache[Block, BlockGrid] = Cache(_CACHED_GRIDS)
-
-    def _checked_detail(self, detail: float | None) -> float:
-        if detail is None:
-            return MU
-        if self.error != "paper":
-            raise InvalidArgumentError(
-                f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
-                " measured errors need no factor"
-            )
-        return detail
 
     def roots(self) -> list[NodeInfo]:
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
@@ -159,7 +154,7 @@ class Batched(BoundedMode):
         return RegularBlock(
             np.pad(both, (*missing, (0, 0)), constant_values=np.nan),
             slopes,
-            n_grid_triangles(self._side) if has_any else 0,
+            2 * self._side**2 + 8 * self._side if has_any else 0,  # and those of skirts
             self._middle,
             self._bound(block, error),
             float(np.nanmax(apart)) if has_any else 0.0,
@@ -268,10 +263,6 @@ class Batched(BoundedMode):
             nodes, distances, morphs, (steepest + 1) * errors,
             selection.n_triangles, tau * view.flatness, n_missing,
         )  # fmt: skip
-
-
-def n_grid_triangles(side: int) -> int:
-    return 2 * side * side + 8 * side
 
 
 def _continued(

@@ -41,20 +41,16 @@ class FlightRecorder:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self._seconds = 0.0
+        self.seconds = 0.0
         self._since_key = _KEY_SECONDS
 
     def tick(self, seconds: float, camera_line: str) -> None:
         """Add the time since the last frame and the camera's position."""
-        self._seconds += seconds
+        self.seconds += seconds
         self._since_key += seconds
         if self._since_key >= _KEY_SECONDS and len(self.lines) < _MOST_KEYS:
             self._since_key = min(self._since_key - _KEY_SECONDS, _KEY_SECONDS)
             self.lines.append(camera_line)
-
-    @property
-    def seconds(self) -> float:
-        return self._seconds
 
     def to_json(self) -> str:
         """Return the input of ``terrainwave render --flight``."""

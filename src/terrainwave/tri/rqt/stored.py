@@ -259,6 +259,12 @@ def _select_closed(selection, row, col, stack, depth):
 
 
 @kernel
+def _is_whole(mask, row, col):
+    upper, lower = mask[row, col] and mask[row, col + 1], mask[row + 1, col]
+    return upper and lower and mask[row + 1, col + 1]
+
+
+@kernel
 def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
     """Fill `corners` with the triangles and mark their samples; return their number."""
     n = rows.shape[0] - 1
@@ -281,12 +287,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
             if area == 1 or area == -1:
                 # One diagonal of a quad; with a void corner the quad's triangle is added below.
                 top, left = min(r0, r1, r2), min(c0, c1, c2)
-                if not (
-                    mask[top, left]
-                    and mask[top, left + 1]
-                    and mask[top + 1, left]
-                    and mask[top + 1, left + 1]
-                ):
+                if not _is_whole(mask, top, left):
                     continue
             if area < 0:
                 r1, c1, r2, c2 = r2, c2, r1, c1
@@ -296,12 +297,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
             count += 1
     for row in range(mask.shape[0] - 1):
         for col in range(n_cols - 1):
-            if (
-                mask[row, col]
-                and mask[row, col + 1]
-                and mask[row + 1, col]
-                and mask[row + 1, col + 1]
-            ):
+            if _is_whole(mask, row, col):
                 continue
             kinds = triangles_of_quad(mask, row, col)
             for shift in range(4):

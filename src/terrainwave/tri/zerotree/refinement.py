@@ -106,14 +106,6 @@ def decode_refinement(
     return cut
 
 
-def bits_per_sample(data: bytes, shape: tuple[int, int]) -> float:
-    """Return a triangulation's bits per sample, as Yusov & Turlapov 2010, tables 1 and 2.
-
-    They report 0.036 to 0.208 bits per sample at 1, 3 and 10 m.
-    """
-    return 8 * len(data) / (shape[0] * shape[1])
-
-
 def _side_information(
     heights: NDArray[np.int32],
     mask: NDArray[np.bool_],
