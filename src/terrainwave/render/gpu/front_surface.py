@@ -65,34 +65,26 @@ class FrontStore:
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         self._context, self._max_bytes = context, max_bytes
-        self._layers: LayeredTextures | None = None
+        self.layers: Any = None  # the first patch gives their size
         self.layer_of: dict[int, int] = {}
-        self.max_blocks, self._room = 1, 0  # the first patch gives the size
+        self.max_blocks, self._room = 1, 0
         self.side = 0
 
     @property
     def n_bytes(self) -> int:
-        layers = 0 if self._layers is None else self._layers.n_bytes
+        layers = 0 if self.layers is None else self.layers.n_bytes
         return layers + self._room * len(self.layer_of)
-
-    @property
-    def slopes(self) -> Any:
-        if self._layers is None:
-            raise AssertionError("a patch is here")
-        return self._layers.textures[0]
 
     def put(self, node: int, built: FrontPatch) -> bool:
         """Upload slopes; return False if there is no room."""
-        if self._layers is None:
+        if self.layers is None:
             self._allocate(built)
-        if self._layers is None or len(self.layer_of) == self.max_blocks:
-            return False
-        layer = self._layers.take()
+        layer = None if len(self.layer_of) == self.max_blocks else self.layers.take()
         if layer is None:
             return False
         # The ring around a patch repeats its border.
         content = np.pad(built.slopes, ((1, 2), (1, 2), (0, 0)), mode="edge")
-        self._layers.write(layer, [content])
+        self.layers.write(layer, [content])
         self.layer_of[node] = layer
         return True
 
@@ -101,17 +93,16 @@ class FrontStore:
         self.side, self._room = built.side, built.room
         layer = (built.side + RING) ** 2 * SLOPES.n_bytes
         n_patches = self._max_bytes // (layer + built.room)
-        self._layers = LayeredTextures(
+        self.layers = LayeredTextures(
             self._context, built.side + RING, [SLOPES], max_bytes=n_patches * layer
         )
-        self.max_blocks = self._layers.max_layers
+        self.max_blocks = self.layers.max_layers
 
     def drop(self, node: int) -> None:
-        if self._layers is not None:
-            self._layers.give_back(self.layer_of.pop(node))
+        self.layers.give_back(self.layer_of.pop(node))
 
     def release(self) -> None:
-        release_all(self._layers)
+        release_all(self.layers)
 
 
 class FrontSurface(Surface):
@@ -144,7 +135,7 @@ class FrontSurface(Surface):
             part["about"][:, 2] = patch.error
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
         set_uniforms(self.program, {"slopes": _SLOPES, "side": float(self.store.side)})
-        self.store.slopes.use(_SLOPES)
+        self.store.layers.textures[0].use(_SLOPES)
         self._array.render(moderngl.TRIANGLES, vertices=int(drawn.triangles.size))
         return 1
 

@@ -295,7 +295,7 @@ class VertexTextureSurface(Surface):
         }  # fmt: skip
         set_uniforms(program, values)
         for unit, texture in (
-            (_SLOPES, self.store.slopes), (_HEIGHTS, textures.heights),
+            (_SLOPES, self.store.layers.textures[0]), (_HEIGHTS, textures.heights),
             (_BOUNDS, textures.bounds), (_MARKS, textures.marks),
         ):  # fmt: skip
             texture.use(unit)

@@ -277,11 +277,7 @@ class FrontMode(Mode):
             self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
         )  # fmt: skip
 
-    def between(
-        self,
-        level: int,  # noqa: ARG002, as modes whose coarse levels lack originals need both
-        heights: NDArray[np.float64],  # noqa: ARG002
-    ) -> float:
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:  # noqa: ARG002
         """Return how much further originals may be from triangles between samples than at them.
 
         Only for skirts: where levels have all originals, these are at samples.

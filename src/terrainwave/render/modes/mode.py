@@ -142,12 +142,7 @@ class Mode(ABC):
         """Return the nodes to have in memory for a camera, the most urgent first."""
         return table.wanted(view, max_blocks, tau, camera)
 
-    def spare(
-        self,
-        table: NodeTable,  # noqa: ARG002, as modes that read ahead need all three
-        view: View,  # noqa: ARG002
-        max_blocks: int,  # noqa: ARG002
-    ) -> NDArray[np.int32]:
+    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:  # noqa: ARG002
         """Return further pieces to load once all wanted ones are here."""
         return np.empty(0, dtype=np.int32)
 

@@ -99,6 +99,7 @@ class PatchBuilder:
         self._mesher = mesher_of(terrain)
         self._loose = LooseMesher(terrain) if is_loose else None
         self._scale = HeightScale.of(terrain, frame)
+        self._unit = abs(self._scale.per_quantum) / (1 << FRACTION_BITS)  # metres, of tolerances
         self._texels = Texels(frame, self._scale)
         self._meshes: Cache[Piece, BlockMesh] = Cache(
             _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
@@ -139,9 +140,7 @@ class PatchBuilder:
         return variant
 
     def _variant_error(self, variant: int) -> float:
-        tolerance = (
-            self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
-        )
+        tolerance = self._variant_tolerance(variant) * self._unit
         return self._terrain.quanta_error * self._frame.error_metres + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
@@ -170,8 +169,7 @@ class PatchBuilder:
         # For an unmeasured mesh an estimate, until it is built.
         is_viewed = self._is_made_for_views(block)
         tolerance = (self._mesher.view_tolerance if is_viewed else self._mesher.tolerance)(block)
-        metres = tolerance / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
-        return self._heights_error(block) * per_unit + metres
+        return self._heights_error(block) * per_unit + tolerance * self._unit
 
     def _is_unmeasured(self, block: Block) -> bool:
         """Return whether the bound of a block's mesh is only known once it is built."""
@@ -227,7 +225,7 @@ class PatchBuilder:
         morph = float(np.abs(z - z_parent).max(initial=0))
         error = drawn_error = self.error(piece)
         if self._is_unmeasured(block):
-            drawn_error = self._derived_error(block, mesh)
+            drawn_error = self._mesher.derived_error(block, mesh) * self._unit
             if self._loose is None:
                 error = drawn_error
         rounding = largest * FLOAT32_ROUNDING
@@ -243,11 +241,6 @@ class PatchBuilder:
             children,
             self.floors(block, drawn_error + rounding),
         )
-
-    def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
-        """Return a bound for a mesh without a stated error, metres."""
-        error = self._mesher.derived_error(block, mesh) / (1 << FRACTION_BITS)
-        return error * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]

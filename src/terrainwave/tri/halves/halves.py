@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.height_fit import FixedPoint, fixed_point
+from terrainwave.tri.halves.height_fit import fixed_point
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -88,18 +88,16 @@ def triangulate(
         space.work, space.plane, space.pitch,
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
+    shift = FRACTION_BITS - scale.bits
     if n_rows > 2 and n_cols > 2:  # otherwise only border lines
+        most = math.inf if leash is None else float(leash >> shift)
         _merge_cells(
             space.work, space.floats, space.plane, space.pitch, (n_rows, n_cols), offset, has_table,
-            scale.tolerance, (scale.lowest, scale.highest, _leash_of(leash, scale)),
+            scale.tolerance, (scale.lowest, scale.highest, most),
         )  # fmt: skip
-    base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
+    base = scale.base << FRACTION_BITS
     has_voids = n_valid < n_rows * n_cols
     return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
-
-
-def _leash_of(leash: int | None, scale: FixedPoint) -> float:
-    return math.inf if leash is None else float(leash >> (FRACTION_BITS - scale.bits))
 
 
 @kernel
