@@ -117,7 +117,7 @@ class Canvas:
         self._has_horizon = self.scene.has_horizon
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
-        self._resolved: Any = None
+        self.framebuffer: Any = None
         self._drawn: _Drawn | None = None
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
@@ -165,7 +165,7 @@ class Canvas:
         self._release_framebuffers()
         self.viewport = Viewport(*size)
         self._target = self._framebuffer(size, self._samples)
-        self._resolved = self._framebuffer(size, 0) if self._samples else self._target
+        self.framebuffer = self._framebuffer(size, 0) if self._samples else self._target
 
     def _framebuffer(self, size: tuple[int, int], samples: int) -> Any:
         return self.context.framebuffer(
@@ -193,8 +193,8 @@ class Canvas:
             return
         # moderngl binds the last framebuffer used again, released or not.
         self.context.detect_framebuffer(0).use()
-        if self._resolved is not self._target:
-            self._resolved.release()
+        if self.framebuffer is not self._target:
+            self.framebuffer.release()
         self._target.release()
 
     def draw(
@@ -219,8 +219,8 @@ class Canvas:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
         self._drawn = _Drawn(view, self.renderer.depth_range(view, frames), frames)
-        if self._resolved is not self._target:
-            self.context.copy_framebuffer(self._resolved, self._target)
+        if self.framebuffer is not self._target:
+            self.context.copy_framebuffer(self.framebuffer, self._target)
         return frames
 
     @property
@@ -237,10 +237,6 @@ class Canvas:
     def kept_error(self) -> float:
         return self.scene.kept_error(self._last.view, self._last.frames)
 
-    @property
-    def framebuffer(self) -> Any:
-        return self._resolved
-
     def picture(
         self, camera: Camera, style: Style, *, max_pixel_error: float = 1.0, settle: bool = True
     ) -> tuple[NDArray[np.uint8], Frames]:
@@ -253,7 +249,7 @@ class Canvas:
 
     def grab(self) -> NDArray[np.uint8]:
         """Return the last picture, uint8 (height, width, 3), the first row on top."""
-        data = self._resolved.read(components=3, alignment=1)
+        data = self.framebuffer.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
 
@@ -263,8 +259,8 @@ class Canvas:
 
     def _shows_terrain(self, part: tuple[int, int, int, int]) -> NDArray[np.bool_]:
         """Return which pixels of a part of the last picture are terrain, not sky, wall or hatch."""
-        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
-        colors = self._resolved.read(part, components=4, alignment=1)
+        data = self.framebuffer.read(part, components=1, attachment=-1, dtype="f4")
+        colors = self.framebuffer.read(part, components=4, alignment=1)
         # If samples of a pixel differ, the majority counts.
         is_data = np.frombuffer(colors, dtype=np.uint8)[3::4] > (255 + SOLID_ALPHA) // 2
         return (np.frombuffer(data, dtype=np.float32) < 1.0) & is_data
@@ -292,7 +288,7 @@ class Canvas:
         """
         view, (near, far), _ = self._last
         part = part or (0, 0, self.viewport.width, self.viewport.height)
-        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
+        data = self.framebuffer.read(part, components=1, attachment=-1, dtype="f4")
         shown = np.flatnonzero(self._shows_terrain(part))
         depth = np.frombuffer(data, dtype=np.float32)[shown].astype(np.float64)
         depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
@@ -343,7 +339,7 @@ class Canvas:
                 depth = np.frombuffer(data, dtype=np.float32).reshape(shape).astype(np.float64)
                 found.append(np.where(depth < 1, near + depth * (far - near), np.nan))
         finally:
-            self._resolved.use()
+            self.framebuffer.use()
             for target in targets:
                 target.release()
         return np.stack(found)

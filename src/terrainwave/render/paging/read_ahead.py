@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import NamedTuple
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
@@ -26,6 +25,10 @@ _MOST_KNOWN = 8192
 PATIENCE = 1.0  # seconds
 # Samples around a block that its slopes depend on.
 _RING = 2
+
+
+# A view, its τ, and which pieces are loaded.
+_Wish = tuple[View, float, Callable[[Piece], bool]]
 
 
 class Descent(Threads):
@@ -55,17 +58,17 @@ class Descent(Threads):
             return
         self._seen = view.camera
         with self._changed:
-            self._wish = _Wish(view, tau, is_here)
+            self._wish = view, tau, is_here
             self._changed.notify_all()
 
     def _has_work(self) -> bool:
         return self._wish is not None
 
-    def _take(self) -> "_Wish | None":
+    def _take(self) -> _Wish | None:
         wish, self._wish = self._wish, None
         return wish
 
-    def _do(self, work: "_Wish") -> None:
+    def _do(self, work: _Wish) -> None:
         # Building the piece will raise the error again, and report it.
         with suppress(TerrainwaveError):
             self._fetch(self._pieces(work))
@@ -77,20 +80,20 @@ class Descent(Threads):
             table.add(info)
         return table
 
-    def _pieces(self, wish: "_Wish") -> list[Piece]:
+    def _pieces(self, wish: _Wish) -> list[Piece]:
         """Return the missing pieces, the coarsest first; reads the index."""
         if self._table.n_known > _MOST_KNOWN:
             self._table = self._roots()
-        table, mode = self._table, self._mode
+        table, mode, (view, tau, is_here) = self._table, self._mode, wish
         while True:
-            nodes = mode.wanted(table, wish.view, wish.tau, _MOST_PIECES, wish.view.camera)
-            new = nodes[~table.is_known[nodes] & ~table.are_fine(wish.view, nodes, wish.tau)]
+            nodes = mode.wanted(table, view, tau, _MOST_PIECES, view.camera)
+            new = nodes[~table.is_known[nodes] & ~table.are_fine(view, nodes, tau)]
             if not len(new) or self._is_stale:
                 break
             for node in new.tolist():
                 table.add_children(node, mode.children(table.pieces[node]))
         pieces = [table.pieces[node] for node in nodes.tolist()]
-        return [piece for piece in pieces if not wish.is_here(piece)]
+        return [piece for piece in pieces if not is_here(piece)]
 
     def _fetch(self, pieces: list[Piece]) -> None:
         for first in range(0, len(pieces), _BATCH):
@@ -102,14 +105,6 @@ class Descent(Threads):
     @property
     def _is_stale(self) -> bool:
         return self._is_closed or self._wish is not None
-
-
-class _Wish(NamedTuple):
-    """Request: a view, its τ, and which pieces are loaded."""
-
-    view: View
-    tau: float
-    is_here: Callable[[Piece], bool]
 
 
 class ReadAhead(Threads):

@@ -19,20 +19,15 @@ _NAMING = threading.Lock()
 
 def save_as_new(data: bytes, stem: str, ending: str, folder: str | os.PathLike[str] = ".") -> str:
     """Write a file ``stem-date-time.ending``, numbered if it exists; return its name."""
-    with _NAMING:
-        return _save(data, stem, ending, Path(folder))
-
-
-def _save(data: bytes, stem: str, ending: str, folder: Path) -> str:
     first = f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for number in range(1, _ATTEMPTS):
-        name = f"{first}{'' if number == 1 else f'-{number}'}{ending}"
-        path = folder / name
-        if os.path.lexists(path):
-            continue
-        with publish(path) as part:
-            part.file.write(data)
-        return name
+    with _NAMING:
+        for number in range(1, _ATTEMPTS):
+            name = f"{first}{'' if number == 1 else f'-{number}'}{ending}"
+            path = Path(folder) / name
+            if not os.path.lexists(path):
+                with publish(path) as part:
+                    part.file.write(data)
+                return name
     raise StorageError(f"{first}{ending}: all numbers up to {_ATTEMPTS} are taken")
 
 
