@@ -11,9 +11,10 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
@@ -285,6 +286,11 @@ def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
     return np.concatenate([beyond[:-1], last, np.ones_like(beyond[-1:])])
 
 
+def outer_lines(values: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return views of the top, bottom, left and right line of a rectangle."""
+    return values[0], values[-1], values[:, 0], values[:, -1]
+
+
 def border_lines(
     samples: BlockSamples,
     tolerances: SideTolerances,
@@ -297,12 +303,12 @@ def border_lines(
     """
     row, col = offset
     lines = []
-    for at, first, tolerance in zip(
-        (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]), (col, col, row, row), tolerances,
+    for heights, locked, first, tolerance in zip(
+        outer_lines(samples.heights), outer_lines(samples.locked), (col, col, row, row), tolerances,
         strict=True,
     ):  # fmt: skip
-        heights = samples.heights[at].astype(np.int64) << FRACTION_BITS
-        forced = np.ascontiguousarray(samples.locked[at])
+        heights = heights.astype(np.int64) << FRACTION_BITS
+        forced = np.ascontiguousarray(locked)
         lines.append(line_vertices(heights, forced, first, side, tolerance))
     return Lines(*lines)
 

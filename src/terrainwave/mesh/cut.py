@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from terrainwave.container.codes import UNMEASURED, decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
+from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances, outer_lines
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 
 # Coarse blocks whose heights take at most this share of the requested error are not refined.
@@ -289,4 +289,4 @@ class ErrorCut(Cut):
 
 def sides_of(values: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
     """Return views of the outermost rows and columns."""
-    return {"top": values[0], "bottom": values[-1], "left": values[:, 0], "right": values[:, -1]}
+    return dict(zip(TOWARDS, outer_lines(values), strict=True))

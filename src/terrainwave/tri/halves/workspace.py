@@ -252,7 +252,8 @@ def finished_mesh(
     n_vertices, n_triangles = read_mesh(
         space.work, space.plane, space.pitch, shape, base, shift, arrays
     )
-    vertices, triangles = (part[:n_vertices] for part in arrays[:3]), arrays[3][:n_triangles]
+    rows, cols = space.rows[:n_vertices], space.cols[:n_vertices]
+    heights, triangles = space.heights[:n_vertices], space.triangles[:n_triangles]
     if has_voids:
-        return used_only(*vertices, triangles)
-    return BlockMesh(*(part.copy() for part in vertices), triangles.copy())
+        return used_only(rows, cols, heights, triangles)
+    return BlockMesh(rows.copy(), cols.copy(), heights.copy(), triangles.copy())
