@@ -118,7 +118,7 @@ class Canvas:
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self.framebuffer: Any = None
-        self._drawn: _Drawn | None = None
+        self._drawn: Any = None  # a `_Drawn` once there is a picture
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
             self.has_voids = solid is not None and solid.has_lids
@@ -224,18 +224,12 @@ class Canvas:
         return frames
 
     @property
-    def _last(self) -> _Drawn:
-        if self._drawn is None:
-            raise AssertionError("a picture has been drawn")
-        return self._drawn
-
-    @property
     def camera(self) -> Camera:
-        return self._last.view.camera
+        return self._drawn.view.camera
 
     @property
     def kept_error(self) -> float:
-        return self.scene.kept_error(self._last.view, self._last.frames)
+        return self.scene.kept_error(self._drawn.view, self._drawn.frames)
 
     def picture(
         self, camera: Camera, style: Style, *, max_pixel_error: float = 1.0, settle: bool = True
@@ -286,7 +280,7 @@ class Canvas:
         whole picture; a part is its left and lower pixel, counted upwards, width and height. Waits
         for the GPU.
         """
-        view, (near, far), _ = self._last
+        view, (near, far), _ = self._drawn
         part = part or (0, 0, self.viewport.width, self.viewport.height)
         data = self.framebuffer.read(part, components=1, attachment=-1, dtype="f4")
         shown = np.flatnonzero(self._shows_terrain(part))
@@ -319,7 +313,7 @@ class Canvas:
         Local z, shape (2, n_rows, n_cols), NaN where nothing is drawn. The pieces of the picture
         are drawn once more, from above, with a pixel for each sample.
         """
-        (view, _, drawn), shape = self._last, region.shape
+        (view, _, drawn), shape = self._drawn, region.shape
         low, high = (float(corner[2]) for corner in self.scene.frame.solid_box)
         low, high = low - (high - low), high + (high - low)  # surfaces may leave the box
         ends = [(high, low), (low, high)]

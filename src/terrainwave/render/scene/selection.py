@@ -370,8 +370,6 @@ class NodeTable:
 
         Parents replace children that are not resident.
         """
-        if len(self._stack) < len(self.errors):
-            raise AssertionError("the stack holds every node")
         n_out, n_triangles = select_nodes(
             self.roots, self._arrays(), self.is_resident, self.n_triangles, view.sight(tau),
             self._stack, self._nodes, self._distances,
