@@ -41,7 +41,7 @@ def cells_of(n: int) -> NDArray[np.uint32]:
     numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
     c, d = numbers[1:, :-1].ravel(), numbers[1:, 1:].ravel()
-    return np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])])
+    return np.concatenate([np.column_stack([a, d, b]), np.column_stack([a, c, d])])
 
 
 def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:

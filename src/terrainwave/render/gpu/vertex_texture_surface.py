@@ -125,7 +125,8 @@ void main() {
 def tree_grid(side: int) -> Grid:
     """Return vertices (column, row) and triangles of a tree's quads, cut like the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
-    return np.column_stack([cols, rows]).astype(np.uint16), cells_of(side + 1)
+    # The last corner of a triangle gives its colour.
+    return np.column_stack([cols, rows]).astype(np.uint16), cells_of(side + 1)[:, [0, 2, 1]]
 
 
 def skirt_grid(shape: tuple[int, int]) -> Grid:
