@@ -8,6 +8,29 @@ SKIRT_FLAG = 1 << 15
 
 
 @kernel
+def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
+    """Fill `out`, float64, with heights of a coarser level at vertices, between its samples.
+
+    `rows` and `cols` are those of vertices, in half samples from their block's first, which is
+    `first_row` and `first_col` half samples after the first of `heights` and `mask`, the level
+    above. Past their sides the last two are continued linearly. Next to voids `fallback` is used.
+    """
+    last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
+    step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
+    for k in range(rows.shape[0]):
+        at_row, at_col = rows[k] + first_row, cols[k] + first_col
+        row, col = min(at_row >> 2, last_row), min(at_col >> 2, last_col)
+        down, right = (at_row - 4 * row) / 4, (at_col - 4 * col) / 4
+        below, beside = row + step_row, col + step_col
+        if mask[row, col] and mask[row, beside] and mask[below, col] and mask[below, beside]:
+            upper = heights[row, col] * (1 - right) + heights[row, beside] * right
+            lower = heights[below, col] * (1 - right) + heights[below, beside] * right
+            out[k] = upper * (1 - down) + lower * down
+        else:
+            out[k] = fallback[k]
+
+
+@kernel
 def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
     """Fill `out` with slopes to the east and north and heights for colouring, as float16.
 

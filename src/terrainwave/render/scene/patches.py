@@ -23,7 +23,7 @@ from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.horizon import OVERLAP, Floors, floors_of
-from terrainwave.render.scene.patch_kernels import SKIRT_FLAG
+from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
@@ -281,18 +281,11 @@ class PatchBuilder:
         n_rows, n_cols = (n // 2 + 2 for n in inner.shape)
         region = Region(row, col, n_rows, n_cols).intersect(level)
         heights, mask = self._terrain.decoder.window(piece.level - 1, region)
-        # Past their sides the last two samples are continued linearly.
-        last = np.maximum(np.array(heights.shape) - 2, 0)
-        at_row = mesh.rows + 2 * (inner.row - 2 * row)
-        at_col = mesh.cols + 2 * (inner.col - 2 * col)
-        top, left = np.minimum(at_row >> 2, last[0]), np.minimum(at_col >> 2, last[1])
-        down, right = (at_row - 4 * top) / 4, (at_col - 4 * left) / 4
-        bottom = top + min(heights.shape[0] - 1, 1)
-        beside = left + min(heights.shape[1] - 1, 1)
-        upper = heights[top, left] * (1 - right) + heights[top, beside] * right
-        lower = heights[bottom, left] * (1 - right) + heights[bottom, beside] * right
-        known = mask[top, left] & mask[top, beside] & mask[bottom, left] & mask[bottom, beside]
-        return np.where(known, self._scale.metres(upper * (1 - down) + lower * down), z)
+        out = np.empty(len(z))
+        first = 2 * (inner.row - 2 * row), 2 * (inner.col - 2 * col)
+        quanta = (z - self._scale.zero) / self._scale.per_quantum
+        bilinear_at(mesh.rows, mesh.cols, heights, mask, *first, quanta, out)
+        return self._scale.metres(out)
 
     def floors(self, block: Block, error: float) -> Floors:
         """Return lower limits of a block's surface that is within `error` metres of originals.
@@ -339,9 +332,10 @@ def _with_skirts(
         line = places[starts]
         is_border |= (line == places[ends]) & ((line == 0) | (line == places.max()))
     edges = np.column_stack([starts, ends])[is_border]
-    top, numbers = np.unique(edges, return_inverse=True)
-    below = vertices[top]
+    is_top = np.zeros(len(vertices), dtype=np.bool_)
+    is_top[edges] = True
+    below = vertices[is_top]
     below["col"] |= SKIRT_FLAG
-    lower = len(vertices) + numbers.reshape(edges.shape)
+    lower = len(vertices) - 1 + np.cumsum(is_top)[edges]
     skirts = walls_below(*edges.T, *lower.T).astype(np.uint32)
     return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])
