@@ -126,8 +126,6 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
 
     Vertically: along the normal of the ellipsoid at the point of the surface.
 
-    Notes
-    -----
     A point of a triangle is off by at most e, its triangle's error. The horizontal part of e moves
     it by at most e, which lifts it by the slopes on its path. The path may enter other triangles.
     Where e changes by at most half a metre per metre, it is at most twice the error of each

@@ -188,15 +188,9 @@ def mesh_for_file(
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
     Rounding in the file adds to a mesh's error, so the mesh is made again with a smaller one. On a
-    globe the curvature gets a share of the error that the heights leave.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the curvature of the globe exceeds the error. The message names one that a mesh keeps to,
-        as has been tried; half of it is too small, or no more than was asked for.
-    InvalidHeightsError
-        If the mesh has no position in the frame.
+    globe the curvature gets a share of the error that the heights leave. If the curvature exceeds
+    the error, `InvalidArgumentError` names one that a mesh keeps to, as has been tried; half of it
+    is too small, or no more than was asked for.
     """
     shape = Shape(**options)
     is_on_globe = check_extension(path) == TILE or shape.frame == "ecef"

@@ -72,6 +72,8 @@ def write_pmtiles(
 ) -> list[ArchivedZoom]:
     """Write a terrain's terrain-RGB tiles as one PMTiles archive.
 
+    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
+
     Parameters
     ----------
     terrain : TerrainFile
@@ -96,10 +98,6 @@ def write_pmtiles(
     options
         Of `terrain_rgb.look_of`; `image` is WebP by default, smaller than PNG.
         A warning lists heights outside the encoding's range.
-
-    Notes
-    -----
-    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
     """
     check_ending(target, (ARCHIVE_ENDING,))
     need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")

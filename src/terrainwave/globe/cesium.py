@@ -35,7 +35,7 @@ _AHEAD = 4
 
 
 class TilePyramid(TileScheme):
-    """The tiles of a terrain.
+    """The tiles of a terrain. Thread-safe.
 
     Parameters
     ----------
@@ -58,10 +58,6 @@ class TilePyramid(TileScheme):
     vertical : {"as-is", "ellipsoid"}
         Assume that heights are above the ellipsoid, or convert them from the CRS's vertical datum
         by PROJ's grid.
-
-    Notes
-    -----
-    Thread-safe. The same file gives the same bytes on any number of threads.
     """
 
     def __init__(

@@ -99,8 +99,8 @@ class BlockSurface(InstancedSurface):
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         super().__init__(context, BlockStore(context, side, max_bytes=max_bytes), _VERTEX, side)
-        self._buffers = [context.buffer(part.tobytes()) for part in grid_mesh(side + 1)]
-        places, triangles = self._buffers
+        places, triangles = (context.buffer(part.tobytes()) for part in grid_mesh(side + 1))
+        self._places, self._triangles = places, triangles
         self._array = context.vertex_array(
             self.program, [(places, "2u2", "in_place")],
             index_buffer=triangles, index_element_size=4,
@@ -109,6 +109,3 @@ class BlockSurface(InstancedSurface):
     def draw(self, nodes: NDArray[np.int32], n: int) -> int:  # noqa: ARG002
         self._array.render(moderngl.TRIANGLES, instances=n)
         return 1
-
-    def parts(self) -> list[Any]:
-        return [self._instances, self._array, *self._buffers]

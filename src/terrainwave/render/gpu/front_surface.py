@@ -155,6 +155,3 @@ class FrontSurface(Surface):
             )  # fmt: skip
         self._vertices.write(vertices)
         self._triangles.write(triangles)
-
-    def parts(self) -> list[Any]:
-        return [self._array, self._vertices, self._triangles]

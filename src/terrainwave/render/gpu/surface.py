@@ -39,12 +39,10 @@ class Surface(ABC):
         Called with the nodes of `frames` in its store, the nearest first.
         """
 
-    @abstractmethod
-    def parts(self) -> list[Any]:
-        """Return buffers, textures and vertex arrays to release."""
-
     def release(self) -> None:
-        release_all(*self.parts(), self.program, self.store)
+        """Free the GPU's memory of all that the surface holds."""
+        held = [part for name, part in vars(self).items() if name != "_context"]
+        release_all(*(part for part in held if hasattr(part, "release")))
 
 
 class InstancedSurface(Surface):

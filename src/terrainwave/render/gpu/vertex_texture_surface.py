@@ -311,9 +311,9 @@ class VertexTextureSurface(Surface):
             self.trees.orphan(content.nbytes)
         self.trees.write(content.tobytes())
 
-    def parts(self) -> list[Any]:
-        grids = [part for parts in self.grids.values() for part in reversed(parts)]
-        return [*grids, self.trees]
+    def release(self) -> None:
+        super().release()
+        release_all(*(part for parts in self.grids.values() for part in reversed(parts)))
 
 
 def _trees_in_view(tree: HaarTree, matrix: tuple[float, ...], eye: Eye) -> NDArray[np.int64]:

@@ -96,12 +96,8 @@ class Mode(ABC):
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
         """Build the drawable form of a piece. Thread-safe.
 
-        Raises
-        ------
-        Cancelled
-            If `is_cancelled` returns True between two steps.
-        CorruptStreamError
-            If the file is damaged there.
+        Raises `Cancelled` if `is_cancelled` returns True between two steps, `CorruptStreamError` if
+        the file is damaged there.
         """
 
     # In the drawing thread, when pieces are loaded and dropped

@@ -85,13 +85,9 @@ def decode_refinement(
 ) -> Cut:
     """Return the cut that `encode_refinement` wrote (§2 and §3 of the annex).
 
-    Any bytes give a cut or an exception, in time and memory bounded by the block's size. A cut from
-    wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the bytes are not refinement labels; `TruncatedStreamError` if there are too few.
+    Any bytes give a cut or a `CorruptStreamError`, in time and memory bounded by the block's size.
+    A cut from wrong bytes makes a mesh without cracks, but not within the tolerance, and it may
+    fold.
     """
     if not data:
         raise TruncatedStreamError("refinement labels are empty")
