@@ -157,7 +157,7 @@ def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(pitch
         nearest = np.linalg.norm(np.clip(0, low, high))
         for is_oriented, is_exact in ((False, True), (True, False), (True, True)):
             view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=is_exact)
-            scale = pixels_per_metre(camera.eye, *low, *high, view.lens, is_oriented)
+            scale = pixels_per_metre(camera.eye, tuple(low), tuple(high), view.lens, is_oriented)
             assert pixels <= scale * (1 + 1e-9)
             assert nearest == 0 or scale <= view.gamma / nearest * (1 + 1e-9)
         largest = max(largest, pixels / scale)

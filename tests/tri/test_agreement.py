@@ -190,12 +190,3 @@ def test_demands_are_the_neighbours_vertices_and_its_own():
     assert np.flatnonzero(demanded.left).tolist() == [2]
     assert agreement.lacks(borders[0, 0], demanded)
     assert not agreement.lacks(demanded, borders[0, 0])
-
-
-def test_sides_of_different_length_are_refused():
-    borders = {
-        (0, 0): agreement.border_of(np.ones((5, 5), dtype=bool)),
-        (0, 1): agreement.border_of(np.ones((4, 5), dtype=bool)),
-    }
-    with pytest.raises(ValueError, match="share a side of 5 and 4"):
-        agreement.demands_on((0, 0), borders)

@@ -15,14 +15,13 @@ from tri.slow_dynamic import (
     triangles_of,
 )
 
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import Camera, project
 from terrainwave.tri.dynamic.dynamic import (
     DynamicMesh,
     ForestPart,
     draw_together,
     mark_bottom_up,
-    step_top_down,
+    mark_top_down,
 )
 from terrainwave.tri.dynamic.fans import INNER, ROOT
 from terrainwave.tri.dynamic.haar import ERROR, HIGH, LOW, OUTLINE, _measure, build_tree
@@ -83,20 +82,6 @@ def test_errors_and_boxes_of_parents_hold_those_of_children():
                 assert (own[..., HIGH] >= child[..., HIGH]).all()
 
 
-@pytest.mark.parametrize(
-    ("heights", "options", "words"),
-    [
-        (np.zeros(3), {}, "shape"),
-        (np.zeros((2, 2)), {"patch": 6}, "power of two"),
-        (np.zeros((2, 2)), {"error": "none"}, "measured or paper"),
-        (np.zeros((2, 2)), {"mask": np.ones((2, 3), dtype=bool)}, "mask"),
-    ],
-)
-def test_what_is_no_raster_is_refused(heights, options, words):
-    with pytest.raises(InvalidHeightsError, match=words):
-        build_tree(heights, **options)
-
-
 @pytest.mark.parametrize("error", ["measured", "paper"])
 @pytest.mark.parametrize(("shape", "patch", "has_void"), CASES)
 def test_the_first_marks_are_those_of_the_definition(shape, patch, has_void, error):
@@ -152,8 +137,8 @@ def test_a_view_that_stays_touches_only_what_it_shows():
     tree, view = mesh.tree, mesh._view(eye)
     before = mesh.marks.copy()
     mesh.has_changed[...] = False
-    counts = step_top_down(
-        tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, mesh._stack, mesh.marks,
+    counts = mark_top_down(
+        tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, True, mesh._stack, mesh.marks,
         mesh.has_changed,
     )  # fmt: skip
     assert counts == (drawn, 0, 0, 0.0)

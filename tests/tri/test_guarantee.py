@@ -92,20 +92,6 @@ def test_heights_in_voids_do_not_matter(value):
     np.testing.assert_array_equal(guaranteed_cut(heights, mask, 40), expected)
 
 
-@pytest.mark.parametrize(
-    ("shape", "other", "tolerance", "message"),
-    [
-        ((3, 3), (3, 4), 0, "must be 2-D and alike"),
-        ((0, 3), (0, 3), 0, "samples are outside"),
-        ((2, 4098), (2, 4098), 0, "samples are outside"),
-        ((3, 3), (3, 3), -1, "tolerance is -1"),
-    ],
-)
-def test_what_kernels_are_not_proven_for_is_refused(shape, other, tolerance, message):
-    with pytest.raises(ValueError, match=message):
-        guaranteed_cut(np.zeros(shape, np.int32), np.ones(other, bool), tolerance)
-
-
 @pytest.mark.large
 @pytest.mark.parametrize("side", some([65, 33, 129], 3))
 def test_extreme_heights_at_block_sides_do_not_overflow(side):

@@ -5,7 +5,6 @@ import pytest
 from cases import some
 from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surfaces_at
 
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.scene.camera import Camera, project
 from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.rqt.view import RestrictedMesh
@@ -205,19 +204,6 @@ def test_the_budget_is_kept_and_tau_sinks_again():
     assert again.n_active == free.n_active
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"tile": 6}, "tile 6"),
-        ({"heights": np.zeros(5)}, "heights of shape"),
-        ({"error": "none"}, "measured, paper or coefficient"),
-    ],
-)
-def test_what_is_no_raster_is_refused(options, words):
-    with pytest.raises(InvalidHeightsError, match=words):
-        RestrictedMesh(**{"heights": np.zeros((5, 5)), **options})
-
-
 def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():
     shape = (17, 17)
     mesh, heights = mesh_of(shape, 16, False), heights_of(shape, False)
@@ -262,10 +248,3 @@ def _order(row, col):
     """Middles of edges before the centres of their stride, fine strides first."""
     stride = (row | col) & -(row | col)
     return stride, bool(row & stride and col & stride)
-
-
-def test_coefficients_are_refused_but_with_their_own_error():
-    heights = np.zeros((9, 9))
-    for options in ({"error": "coefficient"}, {"coefficients": heights}):
-        with pytest.raises(InvalidHeightsError, match="coefficients"):
-            RestrictedMesh(heights, tile=8, **options)

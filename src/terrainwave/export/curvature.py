@@ -83,11 +83,6 @@ class GlobeWay:
         """Return (longitude, latitude in degrees, height in metres) of points in the CRS.
 
         On WGS 84 for the Earth, else on the datum of the CRS.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If a point has no position there, or its height cannot be converted.
         """
         placed = points.copy()
         placed[:, :2] = self.place.to_lonlat(points[:, :2])
@@ -112,20 +107,12 @@ class GlobeWay:
 
 
 def mesh_unit(mesh: MeshData) -> HeightUnit:
-    """Return the unit and the meaning of a mesh's heights."""
     return height_unit(mesh.units, mesh.crs, mesh.heights_are)
 
 
 def way_onto_globe(
     mesh: MeshData, place: Place, vertical: str = AS_IS, z_scale: float = 1.0
 ) -> GlobeWay:
-    """Return the conversion of a mesh's points to the globe.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the heights cannot be converted, or samples lie at impossible positions.
-    """
     if "impossible" in mesh.attributes:
         raise InvalidHeightsError(mesh.attributes["impossible"])
     unit = mesh_unit(mesh)
@@ -139,8 +126,6 @@ def curvature(mesh: MeshData, way: GlobeWay) -> float:
 
     Vertically: along the normal of the ellipsoid at the point of the surface.
 
-    Notes
-    -----
     A point of a triangle is off by at most e, its triangle's error. The horizontal part of e moves
     it by at most e, which lifts it by the slopes on its path. The path may enter other triangles.
     Where e changes by at most half a metre per metre, it is at most twice the error of each
@@ -185,14 +170,9 @@ def rises(corners: Numbers, ellipsoid: Ellipsoid) -> tuple[Numbers, Numbers]:
 def divided(mesh: MeshData, way: GlobeWay) -> MeshData:
     """Return a mesh whose edges are halved until the globe's curvature keeps to its share.
 
-    The share is the mesh's attribute ``curvature``; a mesh without it is not changed. New vertices
-    lie on the mesh's own triangles, so its error does not change. A budget of triangles may end the
-    division.
-
-    Parameters
-    ----------
-    mesh : MeshData
-        In the coordinates of its CRS, without walls.
+    The mesh is in the coordinates of its CRS, without walls. The share is its attribute
+    ``curvature``; a mesh without it is not changed. New vertices lie on the mesh's own triangles,
+    so its error does not change. A budget of triangles may end the division.
     """
     share: CurvatureShare | None = mesh.attributes.get("curvature")
     if share is None:

@@ -40,13 +40,8 @@ class AboveEllipsoid:
     ) -> NDArray[Any]:
         """Return the heights of a window above the ellipsoid; voids are undefined.
 
-        Parameters
-        ----------
-        part, whole : Region
-            The window and the raster, of the same level.
-        heights : ndarray, shape (n_rows, n_cols)
-            As the file stores them.
-        valid : ndarray of bool, same shape
+        `part` and `whole` are the window and the raster, of the same level; `heights` are those
+        stored.
         """
         rows, cols = np.nonzero(valid)
         transform: Transform = self.info.transform
@@ -67,19 +62,8 @@ def above_ellipsoid(
 ) -> AboveEllipsoid:
     """Return the conversion of a raster to heights above its own CRS's ellipsoid; warn about it.
 
-    Parameters
-    ----------
-    terrain : TerrainFile
-    info : RasterInfo
-        Of the window to write, before the conversion.
-    level : int
-    is_early : bool
-        Only a part of the bits is read: the file's bound does not hold.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
+    `info` is that of the window to write, before the conversion. `is_early`: only a part of the
+    bits is read, and the file's bound does not hold.
     """
     is_placed = tuple(info.transform) != IDENTITY
     place = place_of(info.crs, terrain.bounds, is_placed=is_placed)

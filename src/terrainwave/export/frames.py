@@ -17,7 +17,6 @@ from terrainwave.place.vertical import note_as_is
 
 
 def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool = False) -> Place:
-    """Return the position of the mesh's coordinates; see `place_of`."""
     is_placed = mesh.attributes.get("is_placed") is not False
     return place_of(
         mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius, has_frames=has_frames
@@ -25,7 +24,6 @@ def find_place(mesh: MeshData, *, radius: float | None = None, has_frames: bool 
 
 
 def quiet_place(mesh: MeshData, radius: float | None) -> Place:
-    """Return `find_place` without its warnings."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         return find_place(mesh, radius=radius)
@@ -48,39 +46,19 @@ def to_frame(
 ) -> MeshData:
     """Return the mesh in a frame; `error` stays in the file's unit.
 
-    With ``ecef``, `error` includes the curvature of the globe and of the geoid between vertices.
+    ``local``: metres from the middle of the area, x to the east, y to the north, z the height.
+    Degrees are scaled by the ellipsoid's radii of curvature there; feet become metres; axes to the
+    west or south are turned. ``native``: coordinates of the CRS, heights in the file's unit.
+    ``ecef``: geocentric metres, on WGS 84 for the Earth, else on the ellipsoid of the CRS; heights
+    are assumed to be above that ellipsoid, with a note if the CRS names another datum, or converted
+    by PROJ's grid (`vertical`), and `error` includes the curvature of the globe and of the geoid
+    between vertices. By default ``local`` for degrees, else ``native``. `radius` is that of a
+    sphere instead of the CRS's ellipsoid.
 
-    Parameters
-    ----------
-    mesh : MeshData
-        In the coordinates of its CRS.
-    frame : {"local", "native", "ecef"}, optional
-        ``local``: metres from the middle of the area, x to the east, y to the north, z the height.
-        Degrees are scaled by the ellipsoid's radii of curvature there; feet become metres; axes to
-        the west or south are turned. ``native``: coordinates of the CRS, heights in the file's
-        unit. ``ecef``: geocentric metres, on WGS 84 for the Earth, else on the ellipsoid of the
-        CRS; heights are assumed to be above that ellipsoid. By default ``local`` for degrees, else
-        ``native``.
-    z_scale : float
-        Heights are multiplied by it; > 0.
-    radius : float, optional
-        Radius of the sphere in metres that degrees lie on, instead of the CRS's ellipsoid.
-    vertical : {"as-is", "ellipsoid"}
-        With ``ecef``: assume that heights are above the ellipsoid, with a note if the CRS names
-        another datum, or convert them by PROJ's grid.
-
-    Returns
-    -------
-    mesh : MeshData
-        ``attributes["frame"]`` describes the frame: ``name``, ``z_scale``, ``unit``. For ``local``
-        also ``centre`` in the CRS, ``metres`` per unit of x, y and height, ``axes`` (the directions
-        of the CRS's x and y, unless they are east and north) and, if heights are radii, ``zero``,
-        the radius at z 0. For ``ecef`` also ``vertical``, the meaning of its heights.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an option is out of range or the frame is not available.
+    ``attributes["frame"]`` describes the frame: ``name``, ``z_scale``, ``unit``. For ``local`` also
+    ``centre`` in the CRS, ``metres`` per unit of x, y and height, ``axes`` (the directions of the
+    CRS's x and y, unless they are east and north) and, if heights are radii, ``zero``, the radius
+    at z 0. For ``ecef`` also ``vertical``, the meaning of its heights.
     """
     if frame is not None:
         check_choice("frame", frame, FRAMES)
@@ -143,7 +121,6 @@ def _local(mesh: MeshData, place: Place, z_scale: float) -> MeshData:
 
 
 def _facing_up(mesh: MeshData, axes: LocalAxes) -> NDArray[np.int32]:
-    """Return triangles that are counter-clockwise on the ground, as in x and y."""
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 
@@ -169,7 +146,6 @@ def _ecef(mesh: MeshData, place: Place, z_scale: float, vertical: str) -> MeshDa
 
 
 def note_heights(mesh: MeshData, vertical: str) -> None:
-    """Warn of assumptions about heights on the globe."""
     unit = mesh_unit(mesh)
     unit.note_kind()
     if not check_vertical(vertical) and not unit.is_radius:
@@ -177,7 +153,6 @@ def note_heights(mesh: MeshData, vertical: str) -> None:
 
 
 def globe_triangles(mesh: MeshData, place: Place) -> NDArray[np.int32]:
-    """Return triangles that face outwards on the globe."""
     return _facing_up(mesh, LocalAxes(*place.directions))
 
 

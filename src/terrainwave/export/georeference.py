@@ -34,19 +34,9 @@ def info_to_write(terrain: TerrainFile) -> RasterInfo:
 
 
 def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
-    """Open a GeoTIFF again; write missing metadata to the .aux.xml next to it, and warn.
+    """Open a GeoTIFF that has just been finished; write missing metadata to the .aux.xml, and warn.
 
-    Parameters
-    ----------
-    path : path
-        A GeoTIFF that has just been finished, without an .aux.xml.
-    info : RasterInfo
-        The intended CRS and unit.
-
-    Raises
-    ------
-    StorageError
-        If the .aux.xml cannot be written.
+    `info` has the intended CRS and unit.
     """
     crs = _crs_of(info)
     if crs is None:
@@ -146,15 +136,7 @@ def _as_proj4(crs: CRS) -> str:
 
 
 def warn_of_crs(head: bytes, info: RasterInfo) -> None:
-    """Warn of CRS properties that a GeoTIFF without other files cannot hold.
-
-    Parameters
-    ----------
-    head : bytes
-        The GeoTIFF's.
-    info : RasterInfo
-        The intended metadata.
-    """
+    """Warn of CRS properties that a GeoTIFF of this head without other files cannot hold."""
     crs = _crs_of(info)
     found = [] if crs is None else crs_differences(crs, crs_of_geotiff(head))
     if crs is not None and info.coordinate_epoch is not None:

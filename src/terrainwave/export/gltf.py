@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ GROUND_COLOR = 225, 221, 212
 _MAGIC, _JSON, _BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
-def gltf_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
+def write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     """Return a .gltf file of a mesh whose y points upwards; `about` becomes extras of the mesh."""
     document, data = _document(mesh, about)
     uri = base64.b64encode(data).decode("ascii")
@@ -34,7 +35,7 @@ def gltf_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
     return _as_json(document)
 
 
-def glb_bytes(mesh: MeshData, about: dict[str, Any]) -> bytes:
+def write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
     """Return a .glb file of a mesh whose y points upwards; `about` becomes extras of the mesh."""
     document, data = _document(mesh, about)
     text = _as_json(document)
@@ -58,7 +59,6 @@ class _Buffer:
         self.accessors: list[dict[str, Any]] = []
 
     def add(self, data: bytes, **view: Any) -> int:
-        """Append bytes and return the index of their view."""
         self.views.append(
             {"buffer": 0, "byteOffset": self._n_bytes, "byteLength": len(data)} | view
         )
@@ -68,7 +68,6 @@ class _Buffer:
         return len(self.views) - 1
 
     def add_array(self, values: NDArray[np.generic], kind: int, target: int, **more: Any) -> int:
-        """Append numbers and return the index of their accessor."""
         view = self.add(values.tobytes(), target=target)
         n_columns = values.shape[1] if values.ndim > 1 else 1
         self.accessors.append(
@@ -83,7 +82,6 @@ class _Buffer:
 
 
 def _document(mesh: MeshData, about: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON and the buffer of a file."""
     buffer = _Buffer()
     points = np.ascontiguousarray(mesh.vertices, dtype="<f4")
     attributes = {

@@ -63,30 +63,12 @@ def write_height_tile(
 ) -> str:
     """Write a window as a 16-bit tile and its JSON; return the tile's path.
 
-    Parameters
-    ----------
-    terrain : TerrainFile
-    path : path
-        Ends in ``.r16`` or ``.png``; the JSON has the same name plus ``.json``. Both appear
-        complete or not at all.
-    region : Region
-        Of `level`; at least 2 x 2 samples.
-    level : int
-    size : int, "window" or None
-        Side of the tile, 2ⁿ + 1; the window is resampled bilinearly to this square, corner sample
-        to corner sample. ``"window"`` writes the window's samples without resampling; None too if
-        they form such a square, else it selects the largest tile within the window's size.
-    voids : {"lowest", "fill"} or float
-        Height of voids: the lowest of the tile, that of their surroundings, or a number.
-    overwrite : bool
-    reporter : Reporter
-
-    Raises
-    ------
-    InvalidArgumentError, LimitExceededError
-        If the size or the window does not fit.
-    StorageError
-        If a file cannot be written.
+    The path ends in ``.r16`` or ``.png``; the JSON has the same name plus ``.json``. Both appear
+    complete or not at all. The window, at least 2 x 2 samples, is resampled bilinearly to a square
+    of `size` samples a side, 2ⁿ + 1, corner sample to corner sample. ``"window"`` writes the
+    window's samples without resampling; None too if they form such a square, else it selects the
+    largest tile within the window's size. `voids` is the height of voids: the lowest of the tile,
+    that of their surroundings (``"fill"``), or a number.
     """
     shape = _tile_shape(region, size)
     filling = checked_voids(voids)
@@ -144,7 +126,6 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
 def _read(
     terrain: TerrainFile, region: Region, level: int, shape: tuple[int, int], reporter: Reporter
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return heights and validity, resampled from corner to corner."""
     rows = np.linspace(0, region.n_rows - 1, shape[0])
     cols = np.linspace(0, region.n_cols - 1, shape[1])
     heights, valid = np.empty(shape), np.empty(shape, dtype=bool)
@@ -258,13 +239,6 @@ def _warn_of_aspect(
 
 
 def checked_voids(voids: str | float) -> str | float:
-    """Return the option for voids: a word, or a height as a float.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither.
-    """
     if isinstance(voids, str):
         if voids in FILLINGS:
             return voids

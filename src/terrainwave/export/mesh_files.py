@@ -85,30 +85,11 @@ def save_mesh(
     overwrite: bool = False,
     **options: Any,
 ) -> SavedMesh:
-    """Write a mesh in the format of the extension of `path`.
+    """Write a mesh in the format of the extension of `path`; `options` are those of `Mesh.save`.
 
-    Parameters
-    ----------
-    mesh : MeshData
-    path : path
-        ``.ply``, ``.obj``, ``.vtu``, ``.vtk`` hold float64 or decimal coordinates; ``.stl``,
-        ``.glb``, ``.gltf`` hold float32, relative to an origin that the file states; ``.terrain``
-        is one Cesium quantized-mesh tile over the mesh's bounds. The file appears complete or not
-        at all.
-    options
-        Of `Shape`, as `Mesh.save` describes them.
-    overwrite : bool
-        Replace an existing file.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the extension is unknown, an option does not fit, or the picture does not show the ground
-        under the mesh.
-    TerrainwaveError
-        If the package that writes the format is missing.
-    StorageError
-        If the file cannot be written, or the picture not read.
+    ``.ply``, ``.obj``, ``.vtu``, ``.vtk`` hold float64 or decimal coordinates; ``.stl``, ``.glb``,
+    ``.gltf`` hold float32, relative to an origin that the file states; ``.terrain`` is one Cesium
+    quantized-mesh tile over the mesh's bounds. The file appears complete or not at all.
     """
     extension = check_extension(path)
     check_flags(overwrite=overwrite)
@@ -159,20 +140,7 @@ def save_mesh(
 
 
 def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
-    """Return the mesh with a picture for its file, unless it has one.
-
-    Parameters
-    ----------
-    mesh : MeshData
-        In its CRS.
-    drape : path
-        As for `save_mesh`.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        As `raster_io.drape.texture_of`.
-    """
+    """Return the mesh, in its CRS, with a picture for its file, unless it has one."""
     if "texture" in mesh.attributes:
         return mesh
     from terrainwave.raster_io.drape import texture_of
@@ -185,13 +153,7 @@ def with_texture(mesh: MeshData, drape: str | os.PathLike[str]) -> MeshData:
 
 
 def check_drape(terrain: TerrainFile, drape: str | os.PathLike[str] | None) -> None:
-    """Raise most errors of a later `save_mesh` about pictures now, as the mesh may take long.
-
-    Raises
-    ------
-    InvalidHeightsError, StorageError
-        If it is not a picture, cannot be read, or does not overlap the terrain.
-    """
+    """Raise most errors of a later `save_mesh` about pictures now, as the mesh may take long."""
     if drape is None:
         return
     from terrainwave.raster_io.drape import check_photo
@@ -226,15 +188,9 @@ def mesh_for_file(
     """Return a mesh for a file, and whether it keeps to the error in the file, too.
 
     Rounding in the file adds to a mesh's error, so the mesh is made again with a smaller one. On a
-    globe the curvature gets a share of the error that the heights leave.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the curvature of the globe exceeds the error. The message names one that a mesh keeps to,
-        as has been tried; half of it is too small, or no more than was asked for.
-    InvalidHeightsError
-        If the mesh has no position in the frame.
+    globe the curvature gets a share of the error that the heights leave. If the curvature exceeds
+    the error, `InvalidArgumentError` names one that a mesh keeps to, as has been tried; half of it
+    is too small, or no more than was asked for.
     """
     shape = Shape(**options)
     is_on_globe = check_extension(path) == TILE or shape.frame == "ecef"
@@ -330,7 +286,6 @@ def _fitted(
 
 
 def _share_of_cells(mesh: MeshData, shape: Shape) -> float:
-    """Return an error, in the file's unit, for which no cell has to be divided."""
     known: CurvatureShare | None = mesh.attributes.get("curvature")
     if known is None or known.cell is None:
         return 0.0
@@ -395,25 +350,12 @@ def _is_downward(mesh: MeshData, shape: Shape) -> bool:
 
 
 def check_extension(path: str | os.PathLike[str]) -> str:
-    """Return the extension of a path in small letters.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If no format has it.
-    """
     check_ending(path, MESH_ENDINGS)
     return Path(path).suffix.lower()
 
 
 def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Raise the errors of a later `save_mesh` about this path now, as the mesh may take long.
-
-    Raises
-    ------
-    InvalidArgumentError, TerrainwaveError, StorageError
-        If the extension is unknown, its package missing, or the file exists and must be kept.
-    """
+    """Raise the errors of a later `save_mesh` about this path now, as the mesh may take long."""
     extension = check_extension(path)
     package = "quantized_mesh_encoder" if extension == TILE else MESH_FORMATS[extension].package
     if package is not None:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import scratch
 from terrainwave.export.frames import vertex_normals
-from terrainwave.export.gltf import glb_bytes, gltf_bytes
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 
@@ -160,16 +159,6 @@ def turned_y_up(mesh: MeshData) -> MeshData:
     """
     vertices = mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0) + 0.0  # no -0
     return replace(mesh, vertices=vertices, attributes=mesh.attributes | {"up": "y"})
-
-
-def write_glb(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    """Return a binary glTF file."""
-    return glb_bytes(mesh, about)
-
-
-def write_gltf(mesh: MeshData, about: dict[str, Any], path: Path) -> bytes:
-    """Return a glTF file with its buffers in it."""
-    return gltf_bytes(mesh, about)
 
 
 def _meshio_mesh(mesh: MeshData) -> Any:

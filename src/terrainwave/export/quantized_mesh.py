@@ -8,8 +8,9 @@ import io
 import json
 import os
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +32,6 @@ from terrainwave.export.mesh_formats import SavedMesh
 from terrainwave.extras import need
 from terrainwave.mesh.mesh_data import MeshData
 from terrainwave.place.ellipsoid import Ellipsoid
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 STEPS = 32767
 # Distance, in radii from the middle of the globe, of a point beyond all horizons.
@@ -99,16 +97,8 @@ def _metres(mesh: MeshData) -> float:
     return abs(mesh_unit(mesh).metres)
 
 
-def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
-    """Encode a mesh as one tile.
-
-    Parameters
-    ----------
-    globe : GeographicMesh
-        A mesh inside `bounds`.
-    bounds : (west, south, east, north)
-        Of the tile, in degrees.
-    """
+def encode_tile(globe: GeographicMesh, bounds: Sequence[float]) -> Tile:
+    """Encode a mesh as one tile of some bounds around it: west, south, east, north, in degrees."""
     used, triangles = in_order_of_use(globe.mesh.triangles)
     points = globe.mesh.points[used]
     quantized, rounding, low, high = _quantize(points, triangles, bounds)
@@ -129,7 +119,6 @@ def tile_bytes(
     ellipsoid: Ellipsoid,
     about: dict[str, Any],  # for the metadata extension
 ) -> bytes:
-    """Return the bytes of a tile."""
     encoder = need("quantized_mesh_encoder.encode", extra="mesh")
     from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
     from quantized_mesh_encoder.extensions import MetadataExtension
@@ -189,7 +178,7 @@ def in_order_of_use(triangles: NDArray[np.int32]) -> tuple[NDArray[np.int64], ND
 
 
 def _quantize(
-    points: NDArray[np.float64], triangles: NDArray[np.int32], bounds: "Sequence[float]"
+    points: NDArray[np.float64], triangles: NDArray[np.int32], bounds: Sequence[float]
 ) -> tuple[NDArray[np.int16], float, float, float]:
     """Return (u, v, h) in 0 … 32767, the rounding in metres, lowest and highest height."""
     low = float(np.nextafter(np.float32(points[:, 2].min()), np.float32(-np.inf)))

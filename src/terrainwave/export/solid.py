@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.mesh.mesh_data import MeshData
+from terrainwave.mesh.mesh_data import MeshData, used_only, walls_below
 
 # Distance by which a vertex that joins two corners is moved into each of them, as a share of the
 # way to the middle of a triangle there; halved while a triangle would turn over.
@@ -18,27 +18,11 @@ _HALVINGS = 20
 def solidify(mesh: MeshData, base: float) -> MeshData:
     """Close the mesh with walls along all its borders, those of voids too, and a flat base.
 
-    The base has the triangles of the surface, turned over. Where two parts of the surface touch
-    only in one vertex, the vertex is doubled and moved a little into each: otherwise the vertical
-    edge below it would belong to four walls.
-
-    Parameters
-    ----------
-    mesh : MeshData
-        Counter-clockwise seen from above.
-    base : float
-        Height of the base in the file's unit; below the lowest vertex.
-
-    Returns
-    -------
-    mesh : MeshData
-        ``attributes["solid"]`` holds ``base``, ``n_triangles`` (of the surface, which come first),
-        and ``moved``, the largest shift of a doubled vertex in units of the CRS.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the mesh is empty or `base` is not below it.
+    The base, at a height below the lowest vertex, has the triangles of the surface, turned over.
+    Where two parts of the surface touch only in one vertex, the vertex is doubled and moved a
+    little into each: otherwise the vertical edge below it would belong to four walls.
+    ``attributes["solid"]`` holds ``base``, ``n_triangles`` (of the surface, which come first), and
+    ``moved``, the largest shift of a doubled vertex in units of the CRS.
     """
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
@@ -47,13 +31,13 @@ def solidify(mesh: MeshData, base: float) -> MeshData:
         raise InvalidArgumentError(
             f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
         )
-    vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
+    vertices, triangles = used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)
     n_top = len(vertices)
     below = vertices.copy()
     below[:, 2] = base - mesh.origin[2]
     starts, ends = border_edges(triangles).T
-    walls = _walls(starts, ends, starts + n_top, ends + n_top)
+    walls = walls_below(starts, ends, starts + n_top, ends + n_top)
     bottom = triangles[:, ::-1] + n_top
     about = {"base": float(base), "n_triangles": len(triangles), "moved": moved}
     return replace(
@@ -77,46 +61,20 @@ class Skirts(NamedTuple):
 def add_skirts(mesh: MeshData, depth: float, *, is_downward: bool = False) -> MeshData:
     """Hang walls from all borders of a mesh, those of voids too: they hide gaps to other meshes.
 
-    Parameters
-    ----------
-    mesh : MeshData
-        Counter-clockwise seen from above.
-    depth : float
-        Height of the walls in the file's unit; > 0.
-    is_downward : bool
-        Heights are depths: lower points have larger ones.
-
-    Returns
-    -------
-    mesh : MeshData
-        ``attributes["skirts"]`` holds its `Skirts`.
+    Heights that are depths (`is_downward`) are larger at lower points. ``attributes["skirts"]``
+    holds its `Skirts`.
     """
     starts, ends = border_edges(mesh.triangles).T
     above, places = np.unique(np.concatenate([starts, ends]), return_inverse=True)
     below = mesh.vertices[above].copy()
     below[:, 2] += depth if is_downward else -depth
     lower = mesh.n_vertices + places.reshape(2, -1)
-    walls = _walls(starts, ends, *lower)
+    walls = walls_below(starts, ends, *lower)
     return replace(
         mesh,
         vertices=np.concatenate([mesh.vertices, below]),
         triangles=np.concatenate([mesh.triangles, walls]).astype(np.int32),
         attributes=mesh.attributes | {"skirts": Skirts(above, mesh.n_triangles)},
-    )
-
-
-def _walls(
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-    starts_below: NDArray[np.int64],
-    ends_below: NDArray[np.int64],
-) -> NDArray[np.int64]:
-    """Return the two triangles of a wall below each edge, facing outwards."""
-    return np.concatenate(
-        [
-            np.column_stack([ends, starts, starts_below]),
-            np.column_stack([ends, starts_below, ends_below]),
-        ]
     )
 
 
@@ -127,13 +85,6 @@ def border_edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
     size = int(edges.max()) + 1
     forward, backward = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
     return edges[~np.isin(forward, backward)]
-
-
-def _used_only(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    used, places = np.unique(triangles, return_inverse=True)
-    return vertices[used], places.reshape(-1, 3).astype(np.int32)
 
 
 def _split_joints(

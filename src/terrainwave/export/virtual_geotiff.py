@@ -25,15 +25,8 @@ Tile = tuple[NDArray[Any], NDArray[np.bool_]]
 
 
 class VirtualGeoTIFF:
-    """Bytes of a GeoTIFF of a terrain, in any order; thread-safe.
+    """Bytes of a GeoTIFF of an open terrain, in any order; thread-safe.
 
-    Parameters
-    ----------
-    terrain : TerrainFile
-        Must stay open.
-
-    Notes
-    -----
     Heights of the full grid are those of `TerrainFile.read`, within its bound. Those of overviews
     are averages, centred in GDAL's pixels, and have no bound.
     """
@@ -60,7 +53,6 @@ class VirtualGeoTIFF:
         return sparse_geotiff(info_to_write(terrain), n_overviews, stated)
 
     def warn_of_crs(self) -> None:
-        """Warn of properties of the raster's CRS that a GeoTIFF cannot hold."""
         warn_of_crs(self._layout[0], self.terrain.raster_info)
 
     @property
@@ -68,15 +60,7 @@ class VirtualGeoTIFF:
         return self._layout[1][-1].stop
 
     def read_at(self, place: int, n_bytes: int) -> bytes:
-        """Return `n_bytes` from byte `place` on, fewer at the end.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a required block is damaged.
-        StorageError
-            If the .twz file cannot be read.
-        """
+        """Return `n_bytes` from byte `place` on, fewer at the end."""
         head, planes = self._layout
         stop = min(place + max(n_bytes, 0), self.size)
         parts = [head[place:stop]]

@@ -11,7 +11,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from terrainwave._version import __version__
 from terrainwave.arguments import (
@@ -26,13 +26,11 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need, with_extra
+from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_scheme import in_order
 from terrainwave.progress import ProgressCallback, Reporter
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 _log = logging.getLogger(__name__)
 
@@ -58,7 +56,7 @@ class ArchivedZoom:
 
 @with_extra("pmtiles")
 def write_pmtiles(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     target: str | os.PathLike[str],
     *,
     min_zoom: int = 0,
@@ -73,6 +71,8 @@ def write_pmtiles(
     **options: Any,
 ) -> list[ArchivedZoom]:
     """Write a terrain's terrain-RGB tiles as one PMTiles archive.
+
+    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
 
     Parameters
     ----------
@@ -98,22 +98,6 @@ def write_pmtiles(
     options
         Of `terrain_rgb.look_of`; `image` is WebP by default, smaller than PNG.
         A warning lists heights outside the encoding's range.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is out of range, or the raster has no valid height, or no position on a
-        globe.
-    CorruptStreamError
-        If a block is damaged.
-    StorageError
-        If something cannot be written.
-    TerrainwaveError
-        If pmtiles or pillow is missing.
-
-    Notes
-    -----
-    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
     """
     check_ending(target, (ARCHIVE_ENDING,))
     need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")
@@ -173,13 +157,7 @@ def write_pmtiles(
 
 
 def _checked_zooms(globe: Globe, first: int, last: int | None, tile_size: int) -> range:
-    """Return the zooms to write.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the range is empty, or their pixels are smaller than the raster's.
-    """
+    """Return the zooms to write."""
     finest = tiling.max_zoom(globe, tile_size)
     expected = f"0 … {finest}: pixels of the last are no larger than the raster's"
     if last is None:

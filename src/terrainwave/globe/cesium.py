@@ -13,21 +13,19 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from terrainwave.arguments import AS_IS, checked_threads
 from terrainwave.container.spool import storage_errors
 from terrainwave.container.targets.publication import publish_directory
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.tile_heights import TileHeights
 from terrainwave.globe.tile_mesh import TileMesh, TileMesher
 from terrainwave.globe.tile_scheme import CELLS, TileScheme, in_order
 from terrainwave.place.vertical import note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 _log = logging.getLogger(__name__)
 
@@ -37,7 +35,7 @@ _AHEAD = 4
 
 
 class TilePyramid(TileScheme):
-    """The tiles of a terrain.
+    """The tiles of a terrain. Thread-safe.
 
     Parameters
     ----------
@@ -60,21 +58,11 @@ class TilePyramid(TileScheme):
     vertical : {"as-is", "ellipsoid"}
         Assume that heights are above the ellipsoid, or convert them from the CRS's vertical datum
         by PROJ's grid.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe, heights cannot be converted or are beyond ±4000
-        km, or (when tiles are requested) a zoom is out of range.
-
-    Notes
-    -----
-    Thread-safe. The same file gives the same bytes on any number of threads.
     """
 
     def __init__(
         self,
-        terrain: "TerrainFile | Globe",
+        terrain: TerrainFile | Globe,
         *,
         void_height: float = 0.0,
         fill_voids: bool = False,
@@ -127,15 +115,7 @@ class TilePyramid(TileScheme):
     def tile(self, zoom: int, x: int, y: int) -> TileMesh | None:
         """Return a tile; None if it does not exist.
 
-        Parameters
-        ----------
-        zoom, x, y : int
-            x counts from longitude -180 eastwards, y from latitude -90 northwards.
-
-        Raises
-        ------
-        CorruptStreamError
-            If a block is damaged.
+        x counts from longitude -180 eastwards, y from latitude -90 northwards.
         """
         if not any(tiles.contains(x, y) for tiles in self.available(zoom)):
             return None
@@ -159,7 +139,7 @@ class ZoomSummary:
 
 
 def write_tiles(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     directory: str | os.PathLike[str],
     *,
     attribution: str = "",
@@ -183,17 +163,6 @@ def write_tiles(
         Replace an existing directory of tiles.
     options
         Of `TilePyramid`.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an option is out of range, or the raster has no position on a globe.
-    CorruptStreamError
-        If a block is damaged.
-    StorageError
-        If something cannot be written.
-    TerrainwaveError
-        If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder", extra="mesh")
     pyramid = TilePyramid(terrain, **options)

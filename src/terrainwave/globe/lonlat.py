@@ -7,20 +7,18 @@ outermost samples. In a raster around the whole globe the first column follows t
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, determinant, places_to_samples, samples_to_places
 from terrainwave.grid.quadtree import Block
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import place_of
 from terrainwave.place.vertical import EllipsoidalHeights, onto_wgs84
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 Numbers = NDArray[np.float64]
 Places = tuple[Numbers, Numbers]
@@ -82,21 +80,11 @@ class Extent(NamedTuple):
 class Globe:
     """A terrain in longitude and latitude in degrees, heights in metres.
 
-    Rasters of the Earth are on WGS 84, others on the datum of their own CRS.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe, or an impossible one.
+    Rasters of the Earth are on WGS 84, others on the datum of their own CRS, or on a sphere of
+    `radius` metres. Raises `InvalidHeightsError` if the raster has no possible position there.
     """
 
-    def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
+    def __init__(self, terrain: TerrainFile, *, radius: float | None = None) -> None:
         raster = terrain.raster_info
         is_placed = raster.transform != IDENTITY
         place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)
@@ -126,15 +114,10 @@ class Globe:
         self.metres = unit.metres
         self.has_radii = unit.is_radius
 
-    # Positions
-
     def to_samples(self, lon: Numbers, lat: Numbers) -> Places:
         """Return fractional rows and columns of the full grid; NaN outside the raster's pixels.
 
-        Parameters
-        ----------
-        lon, lat : ndarray of float64, shape (n_places,)
-            Degrees; each result depends only on its point.
+        Each depends only on its point, in degrees.
         """
         if self._place.is_lonlat:
             return self._to_samples(lon, lat)
@@ -189,7 +172,6 @@ class Globe:
         return near
 
     def from_samples(self, rows: Numbers, cols: Numbers) -> Places:
-        """Return longitudes and latitudes of fractional rows and columns of the full grid."""
         x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
         lonlat = self._place.to_lonlat(np.stack([x, y], axis=1))
         return lonlat[:, 0], lonlat[:, 1]
@@ -244,11 +226,8 @@ class Globe:
         shift = 360 * math.floor((west + 180) / 360)
         return Extent(west - shift, max(south, -_POLE), east - shift, min(north, _POLE))
 
-    # Heights
-
     @property
     def effective_error(self) -> float:
-        """Return the effective bound at samples of the full grid, in metres."""
         return self.terrain.effective_error * abs(self.metres)
 
     def level_for(self, spacing: float) -> int:
@@ -259,13 +238,8 @@ class Globe:
     def heights_at(self, rows: Numbers, cols: Numbers, level: int) -> tuple[Numbers, Window | None]:
         """Return the bilinear heights of a level at positions of `to_samples`, and the window read.
 
-        Returns
-        -------
-        heights : ndarray of float64, shape (n_places,)
-            Metres; NaN at positions that are NaN, and where a sample needed is void. Each depends
-            only on its position.
-        window : Window or None
-            The samples that the heights come from; None if no position is in the raster.
+        Metres; NaN at positions that are NaN, and where a sample needed is void. Each depends only
+        on its position. The window is None if no position is in the raster.
         """
         heights = np.full(rows.shape, np.nan)
         inside = np.isfinite(rows)
@@ -295,12 +269,9 @@ class Globe:
         return heights, window
 
     def sample(self, lon: Numbers, lat: Numbers) -> Numbers:
-        """Return bilinear heights of the full grid at places in degrees.
+        """Return bilinear heights of the full grid at places in degrees, metres.
 
-        Returns
-        -------
-        heights : ndarray of float64, shape (n_places,)
-            Metres; NaN outside the raster's pixels and where a sample needed is void.
+        NaN outside the raster's pixels and where a sample needed is void.
         """
         rows, cols = self.to_samples(lon, lat)
         heights = self.terrain.heights_at(rows, cols, is_round=self.is_whole_turn)
@@ -359,16 +330,7 @@ class Globe:
             heights = self.heights_on(ellipsoidal, full_rows, full_cols, heights)
         return places, heights
 
-    # Above the ellipsoid
-
     def onto_ellipsoid(self) -> EllipsoidalHeights:
-        """Return the conversion of the file's heights to the globe's ellipsoid.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
-        """
         if self.has_radii:
             return EllipsoidalHeights.of_radii(self._place)
         return onto_wgs84(self._place, self.terrain.bounds)
@@ -438,7 +400,6 @@ def _distinct(first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np
 
 
 def _among(columns: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the indices of columns among those of a window."""
     if columns[-1] - columns[0] == columns.size - 1:
         return wanted - columns[0]
     return np.searchsorted(columns, wanted)

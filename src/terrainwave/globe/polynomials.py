@@ -62,11 +62,8 @@ class FittedPlaces:
 def fit_places(globe: Globe) -> FittedPlaces:
     """Return the rows and columns of a globe's raster as polynomials of longitude and latitude.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If they differ from PROJ's by more than `MAX_ERROR` samples: a projection that is
-        interrupted, or undefined somewhere in the raster's extent.
+    Raises `InvalidHeightsError` where they differ by more than `MAX_ERROR` samples: for a
+    projection that is interrupted, or undefined somewhere in the raster's extent.
     """
     found = [_fitted(globe, domain) for domain in _domains(globe.extent)]
     best = min(found, key=lambda places: places.error)

@@ -6,17 +6,15 @@ import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.container.sources.byte_source import ByteSource
+from terrainwave.file import TerrainFile
 from terrainwave.globe.lonlat import Globe
 from terrainwave.place.meaning import HEIGHT
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 VERSION = "1.1.0"
 # Bound, method, levels and root: stac/ of the repository describes it.
@@ -41,21 +39,11 @@ _DIGITS = 7  # of degrees: about a centimetre
 _SHA256 = "1220"  # of a multihash: its code and its length
 
 
-def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]:
+def stac_item(terrain: TerrainFile, href: str | None = None) -> dict[str, Any]:
     """Return a STAC item of a file: outline, CRS, resolution, bound, root, checksum; plain values.
 
-    Reads all bytes of the file, for the checksum.
-
-    Parameters
-    ----------
-    terrain : TerrainFile
-    href : str, optional
-        Address of the file in the item; by default as it was opened.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the raster has no position on a globe.
+    Reads all bytes of the file, for the checksum. `href` is the address of the file in the item; by
+    default as it was opened. Raises `InvalidHeightsError` if the raster has no position on a globe.
     """
     info, name = terrain.info(), str(terrain.name)
     globe = Globe(terrain)
@@ -109,7 +97,7 @@ def stac_item(terrain: "TerrainFile", href: str | None = None) -> dict[str, Any]
     }
 
 
-def _statistics(terrain: "TerrainFile") -> dict[str, float] | None:
+def _statistics(terrain: TerrainFile) -> dict[str, float] | None:
     """Return the range of pixels, before scale and offset (like nodata); None if all are void."""
     header = terrain.header
     if header.z_min > header.z_max:
@@ -118,7 +106,7 @@ def _statistics(terrain: "TerrainFile") -> dict[str, float] | None:
     return {"minimum": height_of(header.z_min), "maximum": height_of(header.z_max)}
 
 
-def _crs(terrain: "TerrainFile") -> dict[str, str]:
+def _crs(terrain: TerrainFile) -> dict[str, str]:
     """Return the CRS by its code, else as WKT2."""
     text, crs = terrain.crs or "", terrain.raster_info.rasterio_crs()
     if re.fullmatch(r"[A-Za-z0-9_]+:[A-Za-z0-9.]+", text):

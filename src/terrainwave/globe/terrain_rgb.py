@@ -116,13 +116,6 @@ PLAIN = Look()
 
 
 def encoding_of(name: str) -> Encoding:
-    """Return the encoding with this name.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is unknown.
-    """
     check_choice("encoding", name, ENCODINGS)
     return ENCODINGS[name]
 
@@ -137,28 +130,10 @@ def look_of(
 ) -> Look:
     """Return a look of tiles.
 
-    Parameters
-    ----------
-    encoding : {"mapbox", "terrarium"}
-        Encoding of heights: steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
-    transparent_voids : bool
-        Give pixels of voids alpha 0.
-    tile_size : {256, 512}
-        Pixels along a tile's side.
-    image : {"webp", "png"}
-        Lossless image format.
-    round_by_zoom : bool
-        Round heights to larger steps on coarser zooms: the encoding's step times the largest power
-        of two that is at most the file's bound on the finest zoom, twice as much on each coarser
-        one, and at most 1/64 of a pixel's size on the ground in the terrain's middle; at least
-        the encoding's own step, whatever the bound and the pixels.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If an option has none of its values.
-    TerrainwaveError
-        If pillow was built without WebP.
+    `round_by_zoom` rounds heights to larger steps on coarser zooms: the encoding's step times the
+    largest power of two that is at most the file's bound on the finest zoom, twice as much on each
+    coarser one, and at most 1/64 of a pixel's size on the ground in the terrain's middle; at least
+    the encoding's own step, whatever the bound and the pixels.
     """
     check_flags(transparent_voids=transparent_voids, round_by_zoom=round_by_zoom)
     tile_size = checked_whole("tile_size", tile_size, least=1)
@@ -194,7 +169,6 @@ def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def latitudes_of(z: int, y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return degrees of fractional tile rows; row 0 is the north (XYZ, not TMS)."""
     return np.degrees(np.arctan(np.sinh(math.pi * (1 - 2 * y / (1 << z)))))
 
 
@@ -209,13 +183,11 @@ def row_of(z: int, latitude: float) -> float:
 
 
 def pixel_size(globe: Globe, z: int, latitude: float, tile_size: int = TILE_SIZE) -> float:
-    """Return the size in metres of a tile's pixel at a latitude."""
     around = 2 * math.pi * globe.ellipsoid.axis
     return around * math.cos(math.radians(latitude)) / (tile_size << z)
 
 
 def _middle(globe: Globe) -> float:
-    """Return the latitude of a terrain's middle."""
     return (globe.extent.south + globe.extent.north) / 2
 
 
@@ -255,24 +227,11 @@ def rgb_tile(
 ) -> RgbTile | None:
     """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None if it has no terrain.
 
-    Parameters
-    ----------
-    globe : Globe
-    z, x, y : int
-        0 ≤ z ≤ `MAX_ZOOM`, 0 ≤ x, y < 2^z.
-    rim : int
-        Pixels, 0 … `MAX_RIM`, by which heights are continued beyond the terrain's edges and into
-        voids, so that surfaces through the pixels don't fall off within the terrain. `error` does
-        not include it.
-    look : Look
-        Heights outside the encoding's range become its nearest height.
-    void_height : float, optional
-        Height in metres of pixels without heights, as the format has no voids. By default
-        `VOID_DEPTH` below the terrain's lowest.
-
-    Notes
-    -----
-    A height depends only on its position and z, so that neighbouring tiles match.
+    Heights are continued by `rim` pixels, 0 … `MAX_RIM`, beyond the terrain's edges and into voids,
+    so that surfaces through the pixels don't fall off within the terrain; `error` does not include
+    it. Heights outside the encoding's range become its nearest height. Voids, which the format
+    lacks, get `void_height` metres, by default `VOID_DEPTH` below the terrain's lowest. A height
+    depends only on its position and z, so that neighbouring tiles match.
     """
     size = look.tile_size
     if not meets(globe, z, x, y, rim / size):
@@ -419,15 +378,7 @@ def bounds_of(globe: Globe) -> list[float]:
 def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict[str, object]:
     """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
 
-    Parameters
-    ----------
-    globe : Globe
-    url : str
-        Address of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
-    name : str
-        Name that clients may show.
-    encoding : str
-        Encoding of the tiles at that URL.
+    `url` is that of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it; clients may show `name`.
     """
     last = max_zoom(globe)
     return {

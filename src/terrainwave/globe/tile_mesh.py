@@ -54,19 +54,11 @@ class TileMesher:
         inner = slice(1, -1)
         heights = np.ascontiguousarray(samples.heights[inner, inner])
         # Vertices stay on both sides of a void's edge, so that it is as steep as the cells allow.
-        locked = np.where(
-            samples.valid[inner, inner],
-            beside_void(samples.valid | ~samples.exists),
-            beside_void(~samples.valid | ~samples.exists),
-        )
+        locked = _edges_of(samples.valid, samples.exists)
         spacing = self._scheme.lattice(zoom, self._heights.curvature_tolerance(zoom))
         locked[::spacing, ::spacing] = True
         if samples.holes.any():  # no triangle may connect a hole with the outside of the raster
-            locked |= np.where(
-                samples.holes[inner, inner],
-                beside_void(samples.holes | ~samples.exists),
-                beside_void(~samples.holes | ~samples.exists),
-            )
+            locked |= _edges_of(samples.holes, samples.exists)
         tolerance = math.floor(self._heights.tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
         # Nothing is inserted into edges later.
         at_edges = math.floor(self._heights.edge_tolerance(zoom) / UNIT * (1 << FRACTION_BITS))
@@ -108,14 +100,8 @@ class TileMesher:
         u = mesh.cols / (2 * self._scheme.cells) * STEPS
         v = STEPS - mesh.rows / (2 * self._scheme.cells) * STEPS
         quantized = np.rint(np.stack([u, v, steps], axis=1)).astype(np.int16)
-        points = np.stack(
-            [
-                west + quantized[:, 0] / STEPS * size,
-                south + quantized[:, 1] / STEPS * size,
-                (low + steps * step) * UNIT,
-            ],
-            axis=1,
-        )
+        lon, lat = west + quantized[:, 0] / STEPS * size, south + quantized[:, 1] / STEPS * size
+        points = np.column_stack([lon, lat, (low + steps * step) * UNIT])
         surface_error, error = self._errors(mesh, is_valid, samples, zoom, x, y)
         if surface_error is not None and error is not None:
             known = mesh.triangles[_all_of(is_valid, mesh.triangles)]
@@ -235,6 +221,12 @@ class TileMesher:
         return error, error + self._scheme.globe.heights_error(samples.window)
 
 
+def _edges_of(is_so: NDArray[np.bool_], exists: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the samples on both sides of an area's edge, without the ring around all."""
+    outer, inner = beside_void(is_so | ~exists), beside_void(~is_so | ~exists)
+    return np.where(is_so[1:-1, 1:-1], outer, inner)
+
+
 def _rounded(mesh: BlockMesh, cells: int) -> BlockMesh:
     """Return a mesh rounded to positions that a tile can represent."""
     scale = STEPS / (2 * cells)
@@ -250,7 +242,6 @@ def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
 
 
 def _all_of(is_so: NDArray[np.bool_], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Return for which triangles all corners are true."""
     a, b, c = (is_so[triangles[:, corner]] for corner in range(3))
     found: NDArray[np.bool_] = a & b & c
     return found

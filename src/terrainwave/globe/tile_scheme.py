@@ -57,11 +57,9 @@ class TileScheme:
 
     @property
     def extent(self) -> Extent:
-        """Return the part of the globe that has heights."""
         return self.globe.extent
 
     def cell_size(self, zoom: int) -> float:
-        """Return the size of a cell in metres, along a meridian."""
         return math.radians(180 / (self.cells << zoom)) * self.globe.ellipsoid.axis
 
     @cached_property

@@ -226,15 +226,7 @@ class _Extractor(Generic[Made]):
             yield block, meshed
 
     def _mesh_within(self, error: Fraction, n_most: int | None = None) -> Made:
-        """Return the mesh for an error in quanta.
-
-        Raises
-        ------
-        _UnreachableError
-            If a coarse level cannot keep to it.
-        _TooManyTrianglesError
-            If it has more than `n_most` triangles; the rest is not built.
-        """
+        """Return the mesh for an error in quanta."""
         level, are_nested = self._area.level, self._terrain.pyramid == "nested"
         samples_of = self._fitter.samples_of
         cut = ErrorCut(self._area, self._errors, error, samples_of, are_nested=are_nested)
@@ -256,10 +248,6 @@ class _Extractor(Generic[Made]):
             built = self._build_all(cut, n_most)
 
     def _mesh_if_reached(self, error: Fraction, n_most: int) -> Made | None:
-        """Return the mesh for an error in quanta.
-
-        None if it has more than `n_most` triangles or a coarse level cannot keep to the error.
-        """
         try:
             return self._mesh_within(error, n_most)
         except (_UnreachableError, _TooManyTrianglesError):

@@ -8,11 +8,13 @@ import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
@@ -25,7 +27,7 @@ from terrainwave.mesh.codes import full_shape, has_triangles, mesh_codes, sum_co
 from terrainwave.mesh.trees import BlockCoefficients, ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
-from terrainwave.tri.halves.borders import beside_void, vertices_of_lines
+from terrainwave.tri.halves.borders import beside_void, line_vertices
 from terrainwave.tri.halves.halves import Lines, triangulate
 from terrainwave.tri.mesh_distance import deviation_from_bilinear, largest_deviation
 from terrainwave.tri.stored_kinds import STORED_KINDS, Draft, StoredSamples
@@ -73,35 +75,23 @@ class SideTolerances(NamedTuple):
     right: int
 
 
+@dataclass(frozen=True)
 class BlockMesher:
     """The stored mesh of any block of a file."""
 
-    def __init__(
-        self,
-        grid: Grid,
-        decoder: LevelSamples,
-        error_code: ErrorCode,  # the index's error code of a block
-        tolerance: int,  # tolerance on the finest level, in 1/16 quanta
-        *,
-        # True if the raster may have voids; neighbours are then decoded for their masks
-        has_voids: bool,
-        kind: str = "halves",  # ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`
-        # returns the stored bytes of a block's mesh; needed for kinds other than halves
-        part: Callable[[Block], bytes] | None = None,
-        # returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any
-        trees: ZeroTrees | None = None,
-        # returns the coefficients that they follow (`mesh.trees.coefficient_source`), if any
-        coefficients: BlockCoefficients | None = None,
-    ) -> None:
-        self._grid = grid
-        self._decoder = decoder
-        self._error_code = error_code
-        self._tolerance = tolerance
-        self._has_voids = has_voids
-        self.kind = kind
-        self._part = part
-        self._trees = trees
-        self._coefficients = coefficients
+    grid: Grid
+    decoder: LevelSamples
+    error_code: ErrorCode  # the index's error code of a block
+    finest_tolerance: int  # tolerance on the finest level, in 1/16 quanta
+    # True if the raster may have voids; neighbours are then decoded for their masks
+    has_voids: bool
+    kind: str = "halves"  # ``"halves"`` or one of `tri.stored_kinds.STORED_KINDS`
+    # returns the stored bytes of a block's mesh; needed for kinds other than halves
+    part: Callable[[Block], bytes] | None = None
+    # returns the zero trees that meshes follow (`mesh.trees.tree_source`), if any
+    trees: ZeroTrees | None = None
+    # returns the coefficients that they follow (`mesh.trees.coefficient_source`), if any
+    coefficients: BlockCoefficients | None = None
 
     def tolerance(self, block: Block) -> int:
         """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
@@ -109,21 +99,21 @@ class BlockMesher:
         The finest level's, doubled from level to level, or a quarter of the block's own error if
         that is more (Yusov & Turlapov 2010, §2.8).
         """
-        if block.level == self._grid.k_max:
-            return self._tolerance
-        own = (decode_error(self._error_code(block)) << FRACTION_BITS) // _MESH_SHARE
-        return min(max(self._tolerance * self._grid.stride(block.level), own), _MAX_TOLERANCE)
+        if block.level == self.grid.k_max:
+            return self.finest_tolerance
+        own = (decode_error(self.error_code(block)) << FRACTION_BITS) // _MESH_SHARE
+        return min(max(self.finest_tolerance * self.grid.stride(block.level), own), _MAX_TOLERANCE)
 
     def side_tolerances(self, block: Block) -> SideTolerances:
         """Return the tolerance of each border line: the smaller one of the two adjacent blocks."""
         own = self.tolerance(block)
-        if block.level == self._grid.k_max:
+        if block.level == self.grid.k_max:
             return SideTolerances(own, own, own, own)
         tolerances = []
         for row, col in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             beside = Block(block.level, block.row + row, block.col + col)
             tolerances.append(
-                min(own, self.tolerance(beside)) if self._grid.contains(beside) else own
+                min(own, self.tolerance(beside)) if self.grid.contains(beside) else own
             )
         return SideTolerances(*tolerances)
 
@@ -133,15 +123,15 @@ class BlockMesher:
         Outside samples continue the last two rows or columns linearly, as in the block's error
         (FORMAT.md §4.4), and are valid if the last ones are.
         """
-        grid = self._grid
+        grid = self.grid
         region = grid.block_region(block)
-        n_rows, n_cols = full_shape(self._grid, block)
-        if not self._has_voids:
-            heights, _ = self._decoder.window(block.level, region)
+        n_rows, n_cols = full_shape(self.grid, block)
+        if not self.has_voids:
+            heights, _ = self.decoder.window(block.level, region)
             mask = np.ones((n_rows, n_cols), dtype=np.bool_)
             return BlockSamples(with_outside(heights, n_rows, n_cols), mask, ~mask)
         wide = grid.block_region(block, 1).intersect(Region(0, 0, *grid.level_shape(block.level)))
-        heights, mask = self._decoder.window(block.level, wide)
+        heights, mask = self.decoder.window(block.level, wide)
         padding = (
             (region.row == wide.row, wide.row + wide.n_rows == region.row + region.n_rows),
             (region.col == wide.col, wide.col + wide.n_cols == region.col + region.n_cols),
@@ -163,8 +153,8 @@ class BlockMesher:
             outside = [(0, n - own) for n, own in zip(samples.mask.shape, trees.shape, strict=True)]
             trees = np.pad(trees, outside, mode="edge")
         coefficients = None
-        if self._coefficients is not None:
-            found = self._coefficients(block)
+        if self.coefficients is not None:
+            found = self.coefficients(block)
             # Samples past the raster's edge have none.
             outside = [(0, n - own) for n, own in zip(samples.mask.shape, found.shape, strict=True)]
             coefficients = np.pad(found, outside)
@@ -175,15 +165,15 @@ class BlockMesher:
 
         None for kinds without, on the finest level, and if the group below has none.
         """
-        if block.level == self._grid.k_max or self._trees is None:
+        if block.level == self.grid.k_max or self.trees is None:
             return None
-        return self._trees(block, self.tolerance(block))
+        return self.trees(block, self.tolerance(block))
 
     def has_mesh(self, block: Block) -> bool:
         """Return whether the block's samples have triangles; decodes only if there may be voids."""
-        if self._has_voids:
+        if self.has_voids:
             return has_triangles(self.samples(block).mask)
-        return min(full_shape(self._grid, block)) > 1
+        return min(full_shape(self.grid, block)) > 1
 
     def bounded_error(
         self, block: Block, heights: Heights, mask: Mask, lost: Fraction
@@ -192,20 +182,17 @@ class BlockMesher:
 
         It is the block's own error, which includes the loss, plus the tolerance, in 1/16 quanta;
         known without making the mesh. None if measuring may give much less: for originals so alike
-        that the block may have one height, and if the mask does not decide whether it has a mesh.
-        Also None for kinds whose tolerance is not a bound.
-
-        Parameters
-        ----------
-        heights, mask : ndarray, shape (n_rows, n_cols)
-            The block's originals, or some of them, in quanta.
+        that the block may have one height, and if the mask, that of `heights` or a part of them,
+        does not decide whether it has a mesh. Also None for kinds whose tolerance is not a bound.
         """
         if self.kind in UNBOUNDED_MESHES or not has_triangles(mask):
             return None
-        own, valid = decode_error(self._error_code(block)), heights[mask]
+        own, valid = decode_error(self.error_code(block)), heights[mask]
         if int(valid.max()) - int(valid.min()) <= 2 * own:
             return None
-        return (own << FRACTION_BITS) + self._tolerance - math.floor(lost * (1 << FRACTION_BITS))
+        return (
+            (own << FRACTION_BITS) + self.finest_tolerance - math.floor(lost * (1 << FRACTION_BITS))
+        )
 
     def error_codes(
         self, errors: dict[Block, int], lost: Fraction, *, by_recursion: bool
@@ -220,7 +207,7 @@ class BlockMesher:
         if not by_recursion:
             return codes
         return {
-            block: max(code, sum_code(self._error_code(block), self.tolerance(block)))
+            block: max(code, sum_code(self.error_code(block), self.tolerance(block)))
             for block, code in codes.items()
         }
 
@@ -233,12 +220,12 @@ class BlockMesher:
         """
         samples = self.samples(block)
         apart = deviation_from_bilinear(mesh, samples.heights, samples.mask)
-        return (decode_error(self._error_code(block)) << FRACTION_BITS) + apart
+        return (decode_error(self.error_code(block)) << FRACTION_BITS) + apart
 
     def view_tolerance(self, block: Block) -> int:
         """Return the tolerance of `view_mesh`, in 1/16 quanta."""
         own = self.tolerance(block)
-        return own if block.level == self._grid.k_max else min(_LOOSER * own, _MAX_TOLERANCE)
+        return own if block.level == self.grid.k_max else min(_LOOSER * own, _MAX_TOLERANCE)
 
     def view_mesh(self, block: Block) -> BlockMesh:
         """Return a mesh of a coarse block with few triangles for its `derived_error`.
@@ -247,21 +234,15 @@ class BlockMesher:
         """
         sides = (min(_LOOSER * side, _MAX_TOLERANCE) for side in self.side_tolerances(block))
         tolerance, samples = self.view_tolerance(block), self.samples(block)
-        lines = border_lines(samples, SideTolerances(*sides), self._grid.block)
+        lines = border_lines(samples, SideTolerances(*sides), self.grid.block)
         return triangulate(*samples, lines, tolerance, leash=int(_LEASH * tolerance))
 
     def mesh(self, block: Block) -> BlockMesh:
-        """Return the block's stored mesh; positions count from the block's first sample.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the stored bytes of the mesh are damaged.
-        """
+        """Return the block's stored mesh; positions count from the block's first sample."""
         if self.kind in STORED_KINDS:
             return self._stored_mesh(block, self.stored_samples(block))
         samples = self.samples(block)
-        lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
+        lines = border_lines(samples, self.side_tolerances(block), self.grid.block)
         return triangulate(*samples, lines, self.tolerance(block))
 
     def coarser_mesh(self, block: Block, tolerance: int) -> BlockMesh:
@@ -276,22 +257,20 @@ class BlockMesher:
                 return no_mesh()
             return STORED_KINDS[self.kind].alone(StoredSamples(*samples, None), tolerance)
         sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
-        return triangulate(*samples, border_lines(samples, sides, self._grid.block), tolerance)
+        return triangulate(*samples, border_lines(samples, sides, self.grid.block), tolerance)
 
     def draft(self, block: Block, demanded: BorderVertices | None) -> Draft:
-        """Return the draft of a block's stored mesh, with at least the demanded vertices."""
         samples = self.stored_samples(block)
         return STORED_KINDS[self.kind].draft(samples, self.tolerance(block), demanded)
 
     def encode(self, block: Block, draft: Draft) -> bytes:
-        """Return the bytes of a draft in agreement with its level."""
         samples = self.stored_samples(block)
         return STORED_KINDS[self.kind].encode(samples, self.tolerance(block), draft)
 
     def _stored_mesh(self, block: Block, samples: StoredSamples) -> BlockMesh:
-        if self._part is None:
+        if self.part is None:
             raise ValueError(f"meshes of kind {self.kind} have stored bytes")
-        data = self._part(block)
+        data = self.part(block)
         if not has_triangles(samples.mask):
             if data:
                 raise CorruptStreamError(f"{block} has no mesh, but bytes of one")
@@ -307,6 +286,11 @@ def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
     return np.concatenate([beyond[:-1], last, np.ones_like(beyond[-1:])])
 
 
+def outer_lines(values: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Return views of the top, bottom, left and right line of a rectangle."""
+    return values[0], values[-1], values[:, 0], values[:, -1]
+
+
 def border_lines(
     samples: BlockSamples,
     tolerances: SideTolerances,
@@ -317,7 +301,16 @@ def border_lines(
 
     `offset` is the position of its first sample in its block of `side` cells.
     """
-    return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
+    row, col = offset
+    lines = []
+    for heights, locked, first, tolerance in zip(
+        outer_lines(samples.heights), outer_lines(samples.locked), (col, col, row, row), tolerances,
+        strict=True,
+    ):  # fmt: skip
+        heights = heights.astype(np.int64) << FRACTION_BITS
+        forced = np.ascontiguousarray(locked)
+        lines.append(line_vertices(heights, forced, first, side, tolerance))
+    return Lines(*lines)
 
 
 def measure_meshes(

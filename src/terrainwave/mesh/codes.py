@@ -54,15 +54,8 @@ def unmeasured_codes(
 ) -> dict[Block, int]:
     """Return the error codes of unmeasured meshes, for the blocks that have one.
 
-    On the finest level own error plus tolerance is a bound. On coarse ones it is not: codes leave
-    the bound to `BlockMesher.derived_error`.
-
-    Parameters
-    ----------
-    errors : mapping
-        Error codes of blocks.
-    tolerance : int
-        Of the finest meshes, in 1/16 quanta.
+    On the finest level own error plus `tolerance`, in 1/16 quanta, is a bound. On coarse ones it is
+    not: codes leave the bound to `BlockMesher.derived_error`.
     """
     return {
         block: sum_code(errors[block], tolerance) if block.level == grid.k_max else UNMEASURED

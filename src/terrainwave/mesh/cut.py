@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from terrainwave.container.page import UNMEASURED, decode_error
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances
+from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances, outer_lines
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 
 # Coarse blocks whose heights take at most this share of the requested error are not refined.
@@ -55,11 +55,9 @@ class Area(NamedTuple):
         )
 
     def roots(self) -> list[Block]:
-        """Return the blocks of level 0 that have cells in the area."""
         return [block for block in self.grid.blocks(0) if self.meets(block)]
 
     def children(self, block: Block) -> list[Block]:
-        """Return the children of a block that have cells in the area."""
         return [child for child in self.grid.children(block) if self.meets(child)]
 
     def blocks(self, level: int) -> list[Block]:
@@ -94,7 +92,6 @@ class Area(NamedTuple):
         return False
 
     def meets(self, block: Block) -> bool:
-        """Return whether cells of the block lie in the area."""
         region, scale = self.region, self.grid.stride(self.level)
         stride = self.grid.stride(block.level) * self.grid.block
         return (
@@ -133,13 +130,11 @@ class Errors:
         return Fraction(decode_error(self._container.codes(block)[2]))
 
     def smallest(self) -> Fraction:
-        """Return the smallest error that may be requested."""
         if self._area.is_finest:
             return self.coded
         return max(map(self.heights, self._area.blocks(self._area.level)))
 
     def piece(self, block: Block, error: Fraction) -> CutBlock:
-        """Return a block with its tolerances for an error."""
         own, sides = self._left_over(block, error), []
         for row, col in TOWARDS.values():
             beside = Block(block.level, block.row + row, block.col + col)
@@ -294,4 +289,4 @@ class ErrorCut(Cut):
 
 def sides_of(values: NDArray[np.bool_]) -> dict[str, NDArray[np.bool_]]:
     """Return views of the outermost rows and columns."""
-    return {"top": values[0], "bottom": values[-1], "left": values[:, 0], "right": values[:, -1]}
+    return dict(zip(TOWARDS, outer_lines(values), strict=True))

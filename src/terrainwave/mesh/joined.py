@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.mesh_data import used_only
 from terrainwave.tri.block_mesh import BlockMesh
 
 # Half samples; edges are shorter than its inverse.
@@ -60,8 +61,7 @@ def clipped(
         vertices, triangles = _cut_off(vertices, triangles, sign * (vertices[:, axis] - limit))
     if triangles is whole:
         return vertices, triangles
-    used, number = np.unique(triangles, return_inverse=True)
-    return vertices[used], number.reshape(triangles.shape).astype(np.int32)
+    return used_only(vertices, triangles)
 
 
 def _cut_off(

@@ -45,25 +45,12 @@ def level_errors(terrain: Any, kind: str) -> LevelErrors:
 def recursive_errors(
     terrain: Any, *, count: Callable[[int], None] = lambda _: None
 ) -> list[NDArray[np.float64]]:
-    """Return Err_Appr of every block, by Y10 equation (2).
+    """Return Err_Appr of every block by level, the coarsest first, by Y10 equation (2).
 
     On the full grid Err_Appr(B) = delta, the effective bound. Above it Err_Appr(B) = the largest of
     B's children + Err_Int(B) + delta, where Err_Int(B) is the largest distance of the children's
-    decoded samples from B's bilinear surface.
-
-    Parameters
-    ----------
-    count : callable
-        Called with numbers of finished samples of the full grid.
-
-    Returns
-    -------
-    list of ndarray of float64, shape (block rows, block columns) each
-        In physical units, the coarsest level first.
-
-    Notes
-    -----
-    Decodes all levels, windows at a time.
+    decoded samples from B's bilinear surface. In physical units. Decodes all levels, windows at a
+    time; `count` is called with numbers of finished samples of the full grid.
     """
     side = terrain.grid.block
     scale = abs(terrain.raster_info.scale)

@@ -24,11 +24,8 @@ from terrainwave.tri.zerotree.labels import Trees
 class LooseMesher:
     """Meshes without a guarantee of blocks above the finest level of a file.
 
-    Parameters
-    ----------
-    n_steps : int
-        How often the threshold of significant details of decoded layers is multiplied by three
-        quarters.
+    The threshold of significant details of decoded layers is multiplied by three quarters `n_steps`
+    times.
     """
 
     def __init__(self, file: TerrainFile, n_steps: int = 0) -> None:
@@ -42,7 +39,6 @@ class LooseMesher:
         self._mesher = mesher_of(file, trees=by_threshold if self.has_threshold else coded)
 
     def samples_within(self, block: Block, mesh: BlockMesh) -> tuple[int, int]:
-        """Return how many samples of a block a mesh covers, and how many within its tolerance."""
         samples = self._mesher.samples(block)
         surface = np.full(samples.mask.size, np.nan)
         n_rows, n_cols = samples.mask.shape

@@ -57,18 +57,11 @@ class MeshData:
 
     @property
     def points(self) -> NDArray[np.float64]:
-        """Return the vertices in the CRS, `origin` added."""
         return self.vertices + np.asarray(self.origin)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """Return (left, bottom, right, top) of the vertices in the CRS.
-
-        Raises
-        ------
-        ValueError
-            If the mesh has no vertex.
-        """
+        """Return (left, bottom, right, top) of the vertices in the CRS."""
         if not self.n_vertices:
             raise ValueError("the mesh is empty: it has no bounds")
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -91,3 +84,21 @@ class MeshData:
         """
         area = self.attributes.get("area")
         return self.bounds if area is None else area
+
+
+def used_only(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return vertices and triangles without the vertices that no triangle has."""
+    used, number = np.unique(triangles, return_inverse=True)
+    return vertices[used], number.reshape(triangles.shape).astype(np.int32)
+
+
+def walls_below(
+    starts: NDArray[Any], ends: NDArray[Any], starts_below: NDArray[Any], ends_below: NDArray[Any]
+) -> NDArray[Any]:
+    """Return the two triangles of a wall below each edge, facing outwards."""
+    return np.concatenate([
+        np.column_stack([ends, starts, starts_below]),
+        np.column_stack([ends, starts_below, ends_below]),
+    ])  # fmt: skip

@@ -30,13 +30,8 @@ class _Samples(NamedTuple):
 class CoveredSamples:
     """Windows of a file's levels, with voids covered if a coarse level has no void.
 
-    Parameters
-    ----------
-    decoder : TreeDecoder
-        For the file's own samples.
-    outline : int
-        The level whose outlines are kept; below 0 for levels coarser than the file has. Windows of
-        this level and coarser ones are not changed.
+    `outline` is the level whose outlines are kept; below 0 for levels coarser than the file has.
+    Windows of this level and coarser ones are not changed.
     """
 
     def __init__(self, grid: Grid, decoder: TreeDecoder, outline: int) -> None:
@@ -47,7 +42,6 @@ class CoveredSamples:
         self._first: _Samples | None = None
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
-        """Return heights and validity of any region inside a level."""
         if self.outline < 0 and level == 0:
             whole = self._first_level()
             at = region.slices_in(Region(0, 0, *self._grid.level_shape(0)))
@@ -67,7 +61,6 @@ class CoveredSamples:
         return _covered(_Samples(heights, mask), coarse, region.row & 1, region.col & 1)
 
     def _first_level(self) -> _Samples:
-        """Return level 0, covered by levels made from it."""
         with self._lock:
             if self._first is None:
                 region = Region(0, 0, *self._grid.level_shape(0))
@@ -86,19 +79,8 @@ def finest_outline(
 ) -> int:
     """Return the finest level whose outlines of voids have at most `n_most` edges in a region.
 
-    Parameters
-    ----------
-    level : int
-        The finest candidate.
-    region : Region
-        In samples of `level`.
-    n_most : int
-        Pairs of a void and a valid neighbour.
-
-    Returns
-    -------
-    int
-        Below 0 for a level coarser than the file's; see `CoveredSamples`.
+    An edge is a pair of a void and a valid neighbour. The region is in samples of `level`, the
+    finest candidate. Below 0 for a level coarser than the file's; see `CoveredSamples`.
     """
 
     def n_edges(k: int) -> int:

@@ -28,13 +28,7 @@ def pack_section(parts: list[bytes]) -> bytes:
 
 
 def unpack_section(data: bytes, n_parts: int) -> list[bytes]:
-    """Undo `pack_section`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If a length exceeds the section, bytes are left over, or all lengths are 0.
-    """
+    """Undo `pack_section`; raise `CorruptStreamError` for bytes that it does not write."""
     if not data:
         return [b""] * n_parts
     parts, byte_pos = [], 0
@@ -75,8 +69,6 @@ def make_sections(
 ) -> dict[Block, bytes]:
     """Return the mesh sections of all keys that have one.
 
-    Notes
-    -----
     Blocks of a level agree on their borders in rounds (`tri.zerotree.agreement`), so that one
     level's drafts are held at a time, packed: for rasters of up to some hundred million samples.
     The sections themselves are held as well. The bytes don't depend on the executor.
@@ -139,7 +131,6 @@ def _level_parts(
     executor: Executor,
     on_samples: Callable[[int], None],
 ) -> dict[Block, bytes]:
-    """Return the bytes of the meshes of one level."""
 
     def draft(position: Position, demanded: BorderVertices | None) -> Draft:
         return mesher.draft(Block(level, *position), demanded)

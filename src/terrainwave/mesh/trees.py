@@ -23,7 +23,6 @@ BlockCoefficients = Callable[[Block], NDArray[np.int64]]
 
 
 def layer_source(decoder: TreeDecoder) -> ZeroTrees:
-    """Return the trees of decoded difference layers (`tri.zerotree.layer_trees`)."""
 
     def trees(block: Block, tolerance: int) -> Trees:
         grid = decoder.grid
@@ -51,13 +50,7 @@ def tree_source(kind: str, decoder: TreeDecoder) -> ZeroTrees | None:
 
 
 def coefficient_source(kind: str, decoder: TreeDecoder) -> BlockCoefficients | None:
-    """Return the source of coefficients for a kind of meshes; None if it follows none.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it does, and the file's method has none.
-    """
+    """Return the source of coefficients for a kind of meshes; None if it follows none."""
     if kind not in UNBOUNDED_MESHES:
         return None
     tiled = with_coefficients(decoder)

@@ -25,3 +25,16 @@ class BlockMesh(NamedTuple):
 def no_mesh() -> BlockMesh:
     places = np.empty(0, dtype=np.int32)
     return BlockMesh(places, places, np.empty(0, dtype=np.int64), np.empty((0, 3), dtype=np.int32))
+
+
+def used_only(
+    rows: NDArray[np.int32],
+    cols: NDArray[np.int32],
+    heights: NDArray[np.int64],
+    triangles: NDArray[np.int32],
+) -> BlockMesh:
+    """Return a mesh without vertices that no triangle has."""
+    is_used = np.zeros(len(rows), dtype=np.bool_)
+    is_used[triangles] = True
+    number = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
+    return BlockMesh(rows[is_used], cols[is_used], heights[is_used], number[triangles])

@@ -6,7 +6,6 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.scratch import Scratch
 
 Frame = TypeVar("Frame")
@@ -72,7 +71,6 @@ Marked = tuple[int, int, float]
 class FollowingMesh(ABC, Generic[Frame]):
     """A mesh that follows a camera."""
 
-    _least_for: str  # what has one vertex in any view
     _n_vertices = 0
 
     def __init__(
@@ -102,32 +100,12 @@ class FollowingMesh(ABC, Generic[Frame]):
     ) -> Followed:
         """Go on to a view, which suffices if the GPU moves vertices itself.
 
-        Parameters
-        ----------
-        tau : float
-            Largest error on screen in pixels, > 0.
-        morph : float
-            λ >= 1: vertices move to where they merge while their errors are τ / λ … τ. 1: they
-            jump.
-        max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least `least_vertices`. What is around the eye
-            is divided in any case.
-        is_stepwise : bool
-            Of a `DynamicMesh`: change by one height at most, as in the paper, except for the first
-            view and if the budget requires more; the mesh may lag behind the view.
-
-        Raises
-        ------
-        InvalidHeightsError
-            If an argument is out of range.
+        `tau` is the largest error on screen in pixels, > 0. Vertices move to where they merge while
+        their errors are τ / λ … τ, λ = `morph` >= 1. τ is raised until at most `max_vertices`, at
+        least `least_vertices`, are left; what is around the eye is divided in any case.
+        `is_stepwise`, of a `DynamicMesh`: change by one height at most, as in the paper, except for
+        the first view and if the budget requires more; the mesh may lag behind the view.
         """
-        if not tau > 0 or not morph >= 1:
-            raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
-        if max_vertices is not None and max_vertices < self.least_vertices:
-            raise InvalidHeightsError(
-                f"found max_vertices {max_vertices}, expected at least one per {self._least_for}: "
-                f"{self.least_vertices}"
-            )
         limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
         pressure = self._pressure
         pressure.relieve()

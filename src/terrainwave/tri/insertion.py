@@ -30,25 +30,10 @@ def insert_points(
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Return which points became vertices, and the triangles with them.
 
-    Parameters
-    ----------
-    places : ndarray of int64, shape (n_vertices, 2)
-        x and y of vertices, 0 ... `MAX_PLACE`.
-    heights : ndarray of float64, shape (n_vertices,)
-    triangles : ndarray of int32, shape (n_triangles, 3)
-        Counter-clockwise in x and y; each edge belongs to one or two.
-    is_open : ndarray of bool, shape (n_triangles,)
-        Triangles that accept points.
-    points : ndarray of int64, shape (n_points, 2)
-    point_heights : ndarray of float64, shape (n_points,)
-    tolerance : float
-        Points nearer than this to the surface stay out, as do points on the border and on vertices.
-
-    Returns
-    -------
-    inserted : ndarray of int64, shape (n_inserted,)
-        Numbers of points; they are vertices n_vertices, n_vertices + 1, ...
-    triangles : ndarray of int32, shape (n_triangles + 2 * n_inserted, 3)
+    Places, int64 (n, 2), are x and y, 0 ... `MAX_PLACE`. Triangles are counter-clockwise, and each
+    edge belongs to one or two. Only triangles of `is_open` accept points. Points nearer than the
+    tolerance to the surface stay out, as do points on the border and on vertices. Inserted points
+    are vertices n_vertices, n_vertices + 1, ...
     """
     n_vertices, n_points, n_triangles = len(places), len(points), len(triangles)
     n_most = n_triangles + 2 * n_points

@@ -26,12 +26,9 @@ def largest_deviation(
     row: int,
     col: int,
 ) -> int:
-    """Return the largest vertical distance of valid samples from a mesh, rounded up.
+    """Return the largest distance of valid samples from a mesh, rounded up, in 1/16 quanta.
 
-    Returns
-    -------
-    int
-        In 1/16 quanta; 0 if the mesh covers no valid sample of the window.
+    0 if the mesh covers no valid sample of the window.
     """
     return int(
         _largest_deviation(
@@ -142,23 +139,11 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
 def deviation_from_bilinear(
     mesh: BlockMesh, heights: NDArray[np.int32], mask: NDArray[np.bool_]
 ) -> int:
-    """Return the largest distance of a mesh from its samples' bilinear surface, rounded up.
+    """Return the largest distance of a mesh from its samples' bilinear surface, in 1/16 quanta.
 
-    At valid samples, and everywhere in cells without voids: with the error of the bilinear surface
-    this bounds the error of the mesh, whatever lies between the samples.
+    Rounded up; at valid samples, and everywhere in cells without voids: with the error of the
+    bilinear surface this bounds the error of the mesh, whatever lies between the samples.
 
-    Parameters
-    ----------
-    heights, mask : ndarray, shape (n_rows, n_cols)
-        The samples that the mesh was made from, quanta.
-
-    Returns
-    -------
-    int
-        In 1/16 quanta.
-
-    Notes
-    -----
     In a triangle's part of a cell the distance is a saddle: it is largest on the edge of that part,
     and along lines of the grid at their ends. So samples and the edges of triangles suffice; along
     an edge the distance is a parabola from one line of the grid to the next.

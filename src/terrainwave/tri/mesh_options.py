@@ -18,17 +18,8 @@ class MeshOptions(OptionSet):
     def stored(self, method: Method, *, is_faithful: bool) -> str:
         """Return the kind of meshes that a file of a method holds, one of `names.MESHES`.
 
-        Parameters
-        ----------
-        method : Method
-            That of the file.
-        is_faithful : bool
-            The file codes the zero trees of Yusov & Turlapov 2010.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If such a file lacks the data that the kind follows.
+        `is_faithful`: it codes the zero trees of Yusov & Turlapov 2010. Raises
+        `InvalidArgumentError` if the file lacks the data that the kind follows.
         """
         raise NotImplementedError
 
@@ -40,13 +31,7 @@ def options_of(name: str) -> type[MeshOptions] | None:
 
 
 def check_mesh(mesh: object, *, or_none: bool) -> None:
-    """Check a kind of meshes; "none" is only valid with `or_none`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is neither a name nor options of one.
-    """
+    """Check a kind of meshes; "none" is only valid with `or_none`."""
     if isinstance(mesh, MeshOptions):
         return
     if not isinstance(mesh, str):

@@ -27,6 +27,15 @@ def void_edges(mask: NDArray[np.bool_]) -> Keep:
     return keep
 
 
+def grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
+    """Return an area grown `n_times` by the eight neighbours of its samples."""
+    for _ in range(n_times):
+        wide = np.pad(found, 1)
+        wide = wide[:-2] | wide[1:-1] | wide[2:]
+        found = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
+    return found
+
+
 @kernel
 def triangles_of_quad(mask, row, col):
     """Return bits for the triangles of the quad at (row, col) of the full grid.

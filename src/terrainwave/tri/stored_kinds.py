@@ -110,7 +110,6 @@ class StoredRqt:
     def draft(
         self, samples: StoredSamples, tolerance: int, demanded: BorderVertices | None
     ) -> Draft:
-        """Return the border vertices, which determine the rest."""
         selection = _select(samples, tolerance, _kept(samples, demanded))
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
@@ -127,17 +126,10 @@ class StoredRqt:
         return out[: finish_encoder(coder.state, out)].tobytes()
 
     def alone(self, samples: StoredSamples, tolerance: int) -> BlockMesh:
-        """Return the mesh with the border vertices of the block itself."""
         return self.mesh(samples, tolerance, b"")
 
     def mesh(self, samples: StoredSamples, tolerance: int, data: bytes) -> BlockMesh:
-        """Return the mesh with the border vertices of the block itself and of `data`.
-
-        Raises
-        ------
-        CorruptStreamError
-            If `encode` does not write `data`.
-        """
+        """Return the mesh with the border vertices of the block itself and of `data`."""
         heights, mask = samples.heights, samples.mask
         selection = _select(samples, tolerance, samples.locked)
         if data:

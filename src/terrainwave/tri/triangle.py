@@ -7,10 +7,7 @@ area, so that they are integers: with heights below 2**31 and sides of at most M
 everything stays below 2**62.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS
@@ -22,30 +19,8 @@ MAX_TOLERANCE = 1 << (31 + FRACTION_BITS)
 _NARROW = 16
 
 
-def check_block(heights: NDArray[Any], mask: NDArray[np.bool_]) -> None:
-    """Check that heights and mask meet the requirements of this package's kernels.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are empty or larger than MAX_SIDE.
-    """
-    if heights.ndim != 2 or heights.shape != mask.shape:
-        raise ValueError(f"heights {heights.shape} and mask {mask.shape} must be 2-D and alike")
-    if not (1 <= min(heights.shape) and max(heights.shape) <= MAX_SIDE):
-        raise ValueError(f"{heights.shape} samples are outside 1 to {MAX_SIDE} a side")
-
-
-def check_tolerance(tolerance: int) -> int:
-    """Return the tolerance, in 1/16 quanta, cut to MAX_TOLERANCE; ValueError if it is negative."""
-    if tolerance < 0:
-        raise ValueError(f"the tolerance is {tolerance}, expected 0 or more")
-    return min(int(tolerance), MAX_TOLERANCE)
-
-
 @kernel
 def area_of(r0, c0, r1, c1, r2, c2):
-    """Return twice the signed area."""
     return (c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)
 
 

@@ -1,6 +1,6 @@
 """Regular blocks on the GPU: heights in an array texture, one instanced call for all of them."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.render.gpu.shaders import INSTANCE
 from terrainwave.render.gpu.surface import InstancedSurface
 from terrainwave.render.gpu.texture_layers import HEIGHTS, SLOPES, LayeredTextures
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.batched import RegularBlock
+from terrainwave.render.modes.batched import RegularBlock
 
 _SKIRT = 1 << 15
 _VOID = np.float32(-1e38)
@@ -38,15 +36,17 @@ void main() {
 )
 
 
-def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
-    """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts.
-
-    Cells are cut from their first corner to their last, as in `regular.half_place`.
-    """
+def cells_of(n: int) -> NDArray[np.uint32]:
+    """Return the triangles of n x n vertices: cells cut from their first corner to their last."""
     numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
     c, d = numbers[1:, :-1].ravel(), numbers[1:, 1:].ravel()
-    cells = np.concatenate([np.column_stack([a, d, b]), np.column_stack([a, c, d])])
+    return np.concatenate([np.column_stack([a, d, b]), np.column_stack([a, c, d])])
+
+
+def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+    """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts."""
+    numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     rim = np.concatenate([numbers[0, :-1], numbers[:-1, -1], numbers[-1, :0:-1], numbers[:0:-1, 0]])
     upper, lower = rim, n * n + np.arange(len(rim), dtype=np.uint32)
     after, lower_after = np.roll(upper, -1), np.roll(lower, -1)
@@ -56,7 +56,7 @@ def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
     rows, cols = np.divmod(np.concatenate([numbers.ravel(), rim]), n)
     cols[n * n :] |= _SKIRT
     places = np.column_stack([cols, rows]).astype(np.uint16)
-    return places, np.concatenate([cells, skirts]).astype(np.uint32)
+    return places, np.concatenate([cells_of(n), skirts]).astype(np.uint32)
 
 
 class BlockStore:
@@ -72,7 +72,7 @@ class BlockStore:
     def n_bytes(self) -> int:
         return self.layers.n_bytes
 
-    def put(self, node: int, built: "RegularBlock") -> bool:
+    def put(self, node: int, built: RegularBlock) -> bool:
         layer = self.layers.take() if built.n_triangles else -1
         if layer is None:
             return False
@@ -99,8 +99,8 @@ class BlockSurface(InstancedSurface):
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         super().__init__(context, BlockStore(context, side, max_bytes=max_bytes), _VERTEX, side)
-        self._buffers = [context.buffer(part.tobytes()) for part in grid_mesh(side + 1)]
-        places, triangles = self._buffers
+        places, triangles = (context.buffer(part.tobytes()) for part in grid_mesh(side + 1))
+        self._places, self._triangles = places, triangles
         self._array = context.vertex_array(
             self.program, [(places, "2u2", "in_place")],
             index_buffer=triangles, index_element_size=4,
@@ -109,6 +109,3 @@ class BlockSurface(InstancedSurface):
     def draw(self, nodes: NDArray[np.int32], n: int) -> int:  # noqa: ARG002
         self._array.render(moderngl.TRIANGLES, instances=n)
         return 1
-
-    def parts(self) -> list[Any]:
-        return [self._instances, self._array, *self._buffers]

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.shaders import SOLID_ALPHA
 from terrainwave.render.look.drape_detail import DETAIL_SIDE
+from terrainwave.render.look.style import Style
 from terrainwave.render.look.water import read_water
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
@@ -18,13 +20,10 @@ from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import Camera, Viewport, focal_length
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
-from terrainwave.render.scene.walls import build_solid
+from terrainwave.render.scene.walls import Solid, build_solid
 
 if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape, Photo
-    from terrainwave.render.look.style import Style
-    from terrainwave.render.scene.walls import Solid
 
 _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
@@ -35,13 +34,7 @@ _DRAPE_SHARE = 4
 
 
 def create_context() -> Any:
-    """Return an OpenGL 3.3 core context without a window.
-
-    Raises
-    ------
-    TerrainwaveError
-        If moderngl or a driver is missing; the message says what to install.
-    """
+    """Return an OpenGL 3.3 core context without a window."""
     moderngl = need("moderngl", extra="view", purpose="drawing")
     problems = []
     backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
@@ -53,8 +46,8 @@ def create_context() -> Any:
     raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
 
 
-def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
-    from terrainwave.raster_io.drape import Photo
+def _open_photo(terrain: TerrainFile, path: str) -> "Photo":
+    from terrainwave.raster_io.drape import Photo  # imported late: rasterio
 
     return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
 
@@ -89,7 +82,7 @@ class Canvas:
 
     def __init__(
         self,
-        terrain: "TerrainFile",
+        terrain: TerrainFile,
         size: tuple[int, int],  # width and height in pixels
         *,
         mode: str = "adaptive",  # one of `terrainwave.render.modes.MODES`
@@ -124,8 +117,8 @@ class Canvas:
         self._has_horizon = self.scene.has_horizon
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
-        self._resolved: Any = None
-        self._drawn: _Drawn | None = None
+        self.framebuffer: Any = None
+        self._drawn: Any = None  # a `_Drawn` once there is a picture
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
             self.has_voids = solid is not None and solid.has_lids
@@ -138,7 +131,7 @@ class Canvas:
             self.scene.close()  # otherwise its threads would continue
             raise
 
-    def set_solid(self, solid: "Solid") -> None:
+    def set_solid(self, solid: Solid) -> None:
         self.has_voids = solid.has_lids
         self.renderer.set_solid(solid)
 
@@ -153,7 +146,6 @@ class Canvas:
         return width / self.photo.place[2]
 
     def _bytes_of_drape(self, *, has_detail: bool) -> int:
-        """Return the bytes on the GPU of the orthophoto, including its mipmaps."""
         if self.photo is None:
             return 0
         width, height = self.photo.size(*self._drape_limits)
@@ -173,7 +165,7 @@ class Canvas:
         self._release_framebuffers()
         self.viewport = Viewport(*size)
         self._target = self._framebuffer(size, self._samples)
-        self._resolved = self._framebuffer(size, 0) if self._samples else self._target
+        self.framebuffer = self._framebuffer(size, 0) if self._samples else self._target
 
     def _framebuffer(self, size: tuple[int, int], samples: int) -> Any:
         return self.context.framebuffer(
@@ -201,14 +193,14 @@ class Canvas:
             return
         # moderngl binds the last framebuffer used again, released or not.
         self.context.detect_framebuffer(0).use()
-        if self._resolved is not self._target:
-            self._resolved.release()
+        if self.framebuffer is not self._target:
+            self.framebuffer.release()
         self._target.release()
 
     def draw(
         self,
         camera: Camera,
-        style: "Style",
+        style: Style,
         *,
         max_pixel_error: float = 1.0,
         settle: bool = True,
@@ -227,31 +219,20 @@ class Canvas:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
         self._drawn = _Drawn(view, self.renderer.depth_range(view, frames), frames)
-        if self._resolved is not self._target:
-            self.context.copy_framebuffer(self._resolved, self._target)
+        if self.framebuffer is not self._target:
+            self.context.copy_framebuffer(self.framebuffer, self._target)
         return frames
 
     @property
-    def _last(self) -> _Drawn:
-        if self._drawn is None:
-            raise AssertionError("a picture has been drawn")
-        return self._drawn
-
-    @property
     def camera(self) -> Camera:
-        return self._last.view.camera
+        return self._drawn.view.camera
 
     @property
     def kept_error(self) -> float:
-        """Return the error bound of the last picture, as `Scene.kept_error`."""
-        return self.scene.kept_error(self._last.view, self._last.frames)
-
-    @property
-    def framebuffer(self) -> Any:
-        return self._resolved
+        return self.scene.kept_error(self._drawn.view, self._drawn.frames)
 
     def picture(
-        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+        self, camera: Camera, style: Style, *, max_pixel_error: float = 1.0, settle: bool = True
     ) -> tuple[NDArray[np.uint8], Frames]:
         """Return the picture, uint8 (height, width, 3), the first row on top, and its frames.
 
@@ -262,7 +243,7 @@ class Canvas:
 
     def grab(self) -> NDArray[np.uint8]:
         """Return the last picture, uint8 (height, width, 3), the first row on top."""
-        data = self._resolved.read(components=3, alignment=1)
+        data = self.framebuffer.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
 
@@ -272,8 +253,8 @@ class Canvas:
 
     def _shows_terrain(self, part: tuple[int, int, int, int]) -> NDArray[np.bool_]:
         """Return which pixels of a part of the last picture are terrain, not sky, wall or hatch."""
-        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
-        colors = self._resolved.read(part, components=4, alignment=1)
+        data = self.framebuffer.read(part, components=1, attachment=-1, dtype="f4")
+        colors = self.framebuffer.read(part, components=4, alignment=1)
         # If samples of a pixel differ, the majority counts.
         is_data = np.frombuffer(colors, dtype=np.uint8)[3::4] > (255 + SOLID_ALPHA) // 2
         return (np.frombuffer(data, dtype=np.float32) < 1.0) & is_data
@@ -299,9 +280,9 @@ class Canvas:
         whole picture; a part is its left and lower pixel, counted upwards, width and height. Waits
         for the GPU.
         """
-        view, (near, far), _ = self._last
+        view, (near, far), _ = self._drawn
         part = part or (0, 0, self.viewport.width, self.viewport.height)
-        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
+        data = self.framebuffer.read(part, components=1, attachment=-1, dtype="f4")
         shown = np.flatnonzero(self._shows_terrain(part))
         depth = np.frombuffer(data, dtype=np.float32)[shown].astype(np.float64)
         depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
@@ -326,13 +307,13 @@ class Canvas:
         last = int(np.ceil(rows.max())), int(np.ceil(cols.max()))
         return Region(*first, last[0] - first[0] + 1, last[1] - first[1] + 1).intersect(grid)
 
-    def drawn_heights(self, region: Region, style: "Style") -> NDArray[np.float64]:
+    def drawn_heights(self, region: Region, style: Style) -> NDArray[np.float64]:
         """Return the last picture's surface at samples of the full grid: its highest and lowest.
 
         Local z, shape (2, n_rows, n_cols), NaN where nothing is drawn. The pieces of the picture
         are drawn once more, from above, with a pixel for each sample.
         """
-        (view, _, drawn), shape = self._last, region.shape
+        (view, _, drawn), shape = self._drawn, region.shape
         low, high = (float(corner[2]) for corner in self.scene.frame.solid_box)
         low, high = low - (high - low), high + (high - low)  # surfaces may leave the box
         ends = [(high, low), (low, high)]
@@ -352,7 +333,7 @@ class Canvas:
                 depth = np.frombuffer(data, dtype=np.float32).reshape(shape).astype(np.float64)
                 found.append(np.where(depth < 1, near + depth * (far - near), np.nan))
         finally:
-            self._resolved.use()
+            self.framebuffer.use()
             for target in targets:
                 target.release()
         return np.stack(found)
@@ -371,7 +352,7 @@ class Canvas:
         away = float((middle - camera.eye) @ camera.forward)
         return away / focal_length(camera, self.viewport) if away > 0 else None
 
-    def _draw_parts(self, view: View, style: "Style") -> Frames:
+    def _draw_parts(self, view: View, style: Style) -> Frames:
         """Draw all finest blocks in view, as many at a time as fit into memory."""
         self.renderer.clear(view, style)
         none = np.empty(0)

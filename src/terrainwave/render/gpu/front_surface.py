@@ -1,6 +1,6 @@
 """One mesh of many patches on the GPU, uploaded each frame; slopes of each patch in a texture."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -8,12 +8,10 @@ import numpy as np
 from terrainwave.render.gpu.shaders import OUTPUTS
 from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
 from terrainwave.render.gpu.texture_layers import SLOPES, LayeredTextures
+from terrainwave.render.modes.front import FrontPatch
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.selection import View
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.front import FrontPatch
-    from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene
 
 _SLOPES = OWN_UNIT
 _FIRST_BYTES = 1 << 20
@@ -63,63 +61,48 @@ void main() {
 
 
 class FrontStore:
-    """`PieceStore` of the slopes of patches: a layer each. It counts their meshes, too.
-
-    Parameters
-    ----------
-    max_bytes : int
-        For slopes and all memory of patches.
-    """
+    """`PieceStore` of the slopes of patches, a layer each; `max_bytes` is for their meshes, too."""
 
     def __init__(self, context: Any, *, max_bytes: int) -> None:
         self._context, self._max_bytes = context, max_bytes
-        self._layers: LayeredTextures | None = None
+        self.layers: Any = None  # the first patch gives their size
         self.layer_of: dict[int, int] = {}
-        self.max_blocks, self._room = 1, 0  # the first patch gives the size
+        self.max_blocks, self._room = 1, 0
         self.side = 0
 
     @property
     def n_bytes(self) -> int:
-        layers = 0 if self._layers is None else self._layers.n_bytes
+        layers = 0 if self.layers is None else self.layers.n_bytes
         return layers + self._room * len(self.layer_of)
 
-    @property
-    def slopes(self) -> Any:
-        if self._layers is None:
-            raise AssertionError("a patch is here")
-        return self._layers.textures[0]
-
-    def put(self, node: int, built: "FrontPatch") -> bool:
+    def put(self, node: int, built: FrontPatch) -> bool:
         """Upload slopes; return False if there is no room."""
-        if self._layers is None:
+        if self.layers is None:
             self._allocate(built)
-        if self._layers is None or len(self.layer_of) == self.max_blocks:
-            return False
-        layer = self._layers.take()
+        layer = None if len(self.layer_of) == self.max_blocks else self.layers.take()
         if layer is None:
             return False
         # The ring around a patch repeats its border.
         content = np.pad(built.slopes, ((1, 2), (1, 2), (0, 0)), mode="edge")
-        self._layers.write(layer, [content])
+        self.layers.write(layer, [content])
         self.layer_of[node] = layer
         return True
 
-    def _allocate(self, built: "FrontPatch") -> None:
+    def _allocate(self, built: FrontPatch) -> None:
         """Divide the memory between layers and the rest."""
         self.side, self._room = built.side, built.room
         layer = (built.side + RING) ** 2 * SLOPES.n_bytes
         n_patches = self._max_bytes // (layer + built.room)
-        self._layers = LayeredTextures(
+        self.layers = LayeredTextures(
             self._context, built.side + RING, [SLOPES], max_bytes=n_patches * layer
         )
-        self.max_blocks = self._layers.max_layers
+        self.max_blocks = self.layers.max_layers
 
     def drop(self, node: int) -> None:
-        if self._layers is not None:
-            self._layers.give_back(self.layer_of.pop(node))
+        self.layers.give_back(self.layer_of.pop(node))
 
     def release(self) -> None:
-        release_all(self._layers)
+        release_all(self.layers)
 
 
 class FrontSurface(Surface):
@@ -133,7 +116,7 @@ class FrontSurface(Surface):
         self._triangles = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
         self._array: Any = None
 
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         mode: Any = scene.mode
         drawn = mode.drawn
         if drawn is None or not len(drawn.triangles):
@@ -152,12 +135,11 @@ class FrontSurface(Surface):
             part["about"][:, 2] = patch.error
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
         set_uniforms(self.program, {"slopes": _SLOPES, "side": float(self.store.side)})
-        self.store.slopes.use(_SLOPES)
+        self.store.layers.textures[0].use(_SLOPES)
         self._array.render(moderngl.TRIANGLES, vertices=int(drawn.triangles.size))
         return 1
 
     def _upload(self, vertices: bytes, triangles: bytes) -> None:
-        """Fill the buffers; enlarge them if necessary."""
         if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
             release_all(self._array)
             size = max(self._vertices.size, 2 * len(vertices), 2 * len(triangles))
@@ -173,6 +155,3 @@ class FrontSurface(Surface):
             )  # fmt: skip
         self._vertices.write(vertices)
         self._triangles.write(triangles)
-
-    def parts(self) -> list[Any]:
-        return [self._array, self._vertices, self._triangles]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.place.meaning import RADIUS
-from terrainwave.render.gpu.surface import release_all
+from terrainwave.render.gpu.surface import program_of, release_all
 from terrainwave.render.look.marks import FONT_SIZE, WHITE, Ink, pillow
 from terrainwave.render.scene.camera import Camera, Viewport, project
 from terrainwave.render.scene.measure import Profile, distance_text
@@ -52,15 +52,8 @@ void main() { fragment = color; }
 def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[np.float32]:
     """Return triangles of a line through pixels (y down), and of a dot at each end.
 
-    Parameters
-    ----------
-    pixels : ndarray of float64, shape (n, 2)
-        NaN behind the eye, where the line has a gap.
-
-    Returns
-    -------
-    corners : ndarray of float32, shape (m, 2)
-        In OpenGL's coordinates; three per triangle.
+    NaN, behind the eye, is a gap in the line. The
+    corners, float32 (m, 2) in OpenGL's coordinates, are three per triangle.
     """
     known = pixels[~np.isnan(pixels).any(axis=1)]
     if not len(known):
@@ -183,7 +176,6 @@ def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> N
 
 
 def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> None:
-    """Draw the direction of north: up if the camera looks north."""
     angle = math.radians(-camera.heading)
     x, y, size = viewport.width - 44, 44, 26
     along = np.array([math.sin(angle), -math.cos(angle)])
@@ -203,14 +195,10 @@ class Overlay:
 
     def __init__(self, context: Any) -> None:
         self._context = context
-        self._program = context.program(
-            vertex_shader=_VERTEX.strip(), fragment_shader=_FRAGMENT.strip()
-        )
+        self._program = program_of(context, _VERTEX, _FRAGMENT)
         self._array = context.vertex_array(self._program, [])
         self._texture: Any = None
-        self._line_program = context.program(
-            vertex_shader=_LINE_VERTEX.strip(), fragment_shader=_LINE_FRAGMENT.strip()
-        )
+        self._line_program = program_of(context, _LINE_VERTEX, _LINE_FRAGMENT)
 
     def draw_line(self, points: NDArray[np.float64], camera: Camera, viewport: Viewport) -> None:
         corners = line_triangles(project(camera, viewport, points)[:, :2], viewport)
@@ -228,8 +216,7 @@ class Overlay:
         height, width, _ = change.image.shape
         size = width, height
         if self._texture is None or self._texture.size != size:
-            if self._texture is not None:
-                self._texture.release()
+            release_all(self._texture)
             self._texture = self._context.texture(size, 4, alignment=4)
             self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
         if change.n_rows:

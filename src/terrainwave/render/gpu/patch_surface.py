@@ -53,6 +53,3 @@ class PatchSurface(InstancedSurface):
             self.program, content, index_buffer=self.store.index_buffer, index_element_size=4
         )
         self._bound = n_most, self.store.generation
-
-    def parts(self) -> list[Any]:
-        return [self._instances, self._numbers, self._commands, self._array]

@@ -16,6 +16,8 @@ from terrainwave.render.gpu.surface import (
     RAMP_UNIT,
     WATER_UNIT,
     Surface,
+    picture_of,
+    program_of,
     release_all,
     set_uniforms,
 )
@@ -50,14 +52,10 @@ class _DrapeTexture:
         if drape is not None:
             pixels = drape.pixels
             self.place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
-        height, width = pixels.shape[:2]
-        self.texture = context.texture((width, height), 4, pixels.tobytes(), alignment=4)
-        self.texture.repeat_x = self.texture.repeat_y = False
+        self.texture = picture_of(context, pixels, moderngl.LINEAR)
         self.texture.build_mipmaps()
         self.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-
-    def release(self) -> None:
-        self.texture.release()
+        self.release = self.texture.release
 
 
 class _WaterTexture:
@@ -67,13 +65,8 @@ class _WaterTexture:
         n_rows, n_cols = water.cells.shape
         self.lowest = water.lowest
         self.place = (float(water.stride), 1 / n_cols, 1 / n_rows)
-        data = np.ascontiguousarray(water.cells).tobytes()
-        self.texture = context.texture((n_cols, n_rows), 1, data, alignment=1)
-        self.texture.repeat_x = self.texture.repeat_y = False
-        self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-
-    def release(self) -> None:
-        self.texture.release()
+        self.texture = picture_of(context, water.cells[..., None], moderngl.NEAREST)
+        self.release = self.texture.release
 
 
 class Renderer:
@@ -94,23 +87,17 @@ class Renderer:
         self._context = context
         self._scene = scene
         self.surface = surface
-        self._sky = context.program(
-            vertex_shader=shaders.SKY_VERTEX.strip(), fragment_shader=shaders.SKY_FRAGMENT.strip()
-        )
+        self._sky = program_of(context, shaders.SKY_VERTEX, shaders.SKY_FRAGMENT)
         self._sky_array = context.vertex_array(self._sky, [])
         self._solid = None if solid is None else SolidSurface(context, solid)
         self._texels = HeightTexels.of(scene.frame)
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
-        self._drape, self._detail = (_DrapeTexture(context, None) for _ in range(2))
-        if drape is not None:
-            self.set_drape(drape)
+        self._drape, self._detail = _DrapeTexture(context, drape), _DrapeTexture(context, None)
         self._found, self._everywhere, self._nowhere = (
             _WaterTexture(context, one) for one in (water or EVERYWHERE, EVERYWHERE, NOWHERE)
         )
         self.n_draw_calls = 0
-
-    # Persistent parts
 
     def set_drape(self, drape: Drape) -> None:
         self._drape.release()
@@ -131,12 +118,8 @@ class Renderer:
 
     def _ramp_texture(self, key: tuple[object, ...], palette: Palette) -> Any:
         if key != self._ramp_key:
-            if self._ramp is not None:
-                self._ramp.release()
-            height, width, _ = palette.colors.shape
-            data = palette.colors.tobytes()
-            self._ramp = self._context.texture((width, height), 3, data, alignment=1)
-            self._ramp.repeat_x = self._ramp.repeat_y = False
+            release_all(self._ramp)
+            self._ramp = picture_of(self._context, palette.colors, moderngl.LINEAR)
             self._ramp_key = key
         return self._ramp
 
@@ -159,8 +142,6 @@ class Renderer:
     def set_solid(self, solid: Solid) -> None:
         release_all(self._solid)
         self._solid = SolidSurface(self._context, solid)
-
-    # One frame
 
     def clear(self, view: View, style: Style) -> None:
         """Begin a picture with the sky or the background."""
@@ -215,7 +196,6 @@ class Renderer:
             self._solid.draw(self._scene.frame, view, values)
 
     def depth_range(self, view: View, frames: Frames) -> tuple[float, float]:
-        """Return near and far planes that hold everything drawn."""
         frame, eye = self._scene.frame, view.camera.eye
         low, high = frame.solid_box
         corners = np.maximum(np.abs(low - eye), np.abs(high - eye))
@@ -228,7 +208,6 @@ class Renderer:
         return max(nearest * 0.9, far * _NEAREST), far
 
     def _shared_uniforms(self, view: View, frames: Frames, style: Style) -> dict[str, Any]:
-        """Return the uniforms shared by the programs of the terrain and of the block under it."""
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)

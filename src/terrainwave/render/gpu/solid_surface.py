@@ -5,7 +5,7 @@ from typing import Any
 import moderngl
 
 from terrainwave.render.gpu import shaders
-from terrainwave.render.gpu.surface import release_all, set_uniforms
+from terrainwave.render.gpu.surface import program_of, release_all, set_uniforms
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import View
 from terrainwave.render.scene.walls import LID, Solid
@@ -21,10 +21,7 @@ class SolidSurface:
 
     def __init__(self, context: Any, solid: Solid) -> None:
         self._context = context
-        self._program = context.program(
-            vertex_shader=shaders.SOLID_VERTEX.strip(),
-            fragment_shader=shaders.SOLID_FRAGMENT.strip(),
-        )
+        self._program = program_of(context, shaders.SOLID_VERTEX, shaders.SOLID_FRAGMENT)
         self._vertices = context.buffer(solid.vertices.tobytes())
         self._indices = context.buffer(solid.triangles.tobytes())
         # Lids come last.

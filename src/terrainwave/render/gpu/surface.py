@@ -2,18 +2,16 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.gpu.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.selection import View
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene
 
 # Texture units; a mode's own begin at OWN_UNIT.
 RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
@@ -26,34 +24,25 @@ class Surface(ABC):
 
     The renderer sets the uniforms that `program` has, binds ramp and drape, sets depth test,
     wireframe and clip distances, and calls `submit`.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        OpenGL 3.3 core or newer.
     """
 
     n_clip_distances: ClassVar[int]
 
     def __init__(self, context: Any, store: Any, vertex_shader: str) -> None:
         self._context, self.store = context, store
-        self.program = context.program(
-            vertex_shader=vertex_shader.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
-        )
+        self.program = program_of(context, vertex_shader, TERRAIN_FRAGMENT)
 
     @abstractmethod
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         """Draw into the framebuffer in use; return the number of draw calls.
 
         Called with the nodes of `frames` in its store, the nearest first.
         """
 
-    @abstractmethod
-    def parts(self) -> list[Any]:
-        """Return buffers, textures and vertex arrays to release."""
-
     def release(self) -> None:
-        release_all(*self.parts(), self.program, self.store)
+        """Free the GPU's memory of all that the surface holds."""
+        held = [part for name, part in vars(self).items() if name != "_context"]
+        release_all(*(part for part in held if hasattr(part, "release")))
 
 
 class InstancedSurface(Surface):
@@ -64,7 +53,7 @@ class InstancedSurface(Surface):
         self._side = side
         self._instances: Any = None
 
-    def instances(self, scene: "Scene", view: View, frames: "Frames") -> NDArray[np.float32]:
+    def instances(self, scene: Scene, view: View, frames: Frames) -> NDArray[np.float32]:
         """Return the texels of the blocks that are not void, float32 (n, 16)."""
         table, nodes = scene.table, frames.nodes
         keys = table.keys[nodes]
@@ -85,7 +74,7 @@ class InstancedSurface(Surface):
         texels[:, 12] = table.errors[nodes]
         return texels[texels[:, 5] >= 0]
 
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         texels = self.instances(scene, view, frames)
         n = len(texels)
         if not n:
@@ -109,8 +98,22 @@ class InstancedSurface(Surface):
         """Draw the `n` instances of those `nodes` that are not void; return the draw calls."""
 
 
+def program_of(context: Any, vertex_shader: str, fragment_shader: str) -> Any:
+    return context.program(
+        vertex_shader=vertex_shader.strip(), fragment_shader=fragment_shader.strip()
+    )
+
+
+def picture_of(context: Any, pixels: NDArray[np.uint8], filtering: int) -> Any:
+    """Return a texture of uint8 (height, width, n_components), not repeated beyond its sides."""
+    height, width, n_components = pixels.shape
+    texture = context.texture((width, height), n_components, pixels.tobytes(), alignment=1)
+    texture.repeat_x = texture.repeat_y = False
+    texture.filter = (filtering, filtering)
+    return texture
+
+
 def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
-    """Set the uniforms that the program has; compilers drop unused ones."""
     for name, value in values.items():
         # `in` would scan all names.
         if program.get(name, None) is not None:

@@ -29,15 +29,9 @@ HEIGHTS = TexelType(2, "f4", 8, False)
 
 
 class LayeredTextures:
-    """Array textures of `size` x `size` texels with equal numbers of layers; they grow by doubling.
+    """Array textures of `size` x `size` texels, one of each kind, with equal numbers of layers.
 
-    Parameters
-    ----------
-    size : int
-    kinds : sequence of Texels
-        One texture each.
-    max_bytes : int
-        Of all textures; a few layers are kept even if they exceed it.
+    They grow by doubling, up to `max_bytes` together; a few layers are kept in any case.
     """
 
     def __init__(
@@ -64,7 +58,6 @@ class LayeredTextures:
 
     @property
     def max_bytes(self) -> int:
-        """Return the bytes of the largest allowed number of layers."""
         return self.max_layers * self._layer_bytes
 
     @property

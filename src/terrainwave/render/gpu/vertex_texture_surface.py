@@ -1,25 +1,23 @@
 """Full grids whose vertices a shader moves to their roots (Yusov & Turlapov 2008)."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.render.gpu.block_surface import cells_of
 from terrainwave.render.gpu.front_surface import CUT_OFF, FrontStore
 from terrainwave.render.gpu.shaders import OUTPUTS
 from terrainwave.render.gpu.surface import OWN_UNIT, Surface, release_all, set_uniforms
-from terrainwave.render.modes.front import eye_of
+from terrainwave.render.modes.front import FrontPatch, eye_of
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
 from terrainwave.tri.dynamic.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
-
-if TYPE_CHECKING:
-    from terrainwave.render.modes.front import FrontPatch
-    from terrainwave.render.modes.mode import Frames
-    from terrainwave.render.paging.scene import Scene
-    from terrainwave.tri.followed import Eye, Followed
+from terrainwave.tri.followed import Eye, Followed
 
 _SLOPES, _HEIGHTS, _BOUNDS, _MARKS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
 _VOID = np.float32(-1e38)
@@ -127,11 +125,8 @@ void main() {
 def tree_grid(side: int) -> Grid:
     """Return vertices (column, row) and triangles of a tree's quads, cut like the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
-    numbers = np.arange((side + 1) ** 2, dtype=np.uint32).reshape(side + 1, side + 1)
-    a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
-    d, c = numbers[1:, :-1].ravel(), numbers[1:, 1:].ravel()
-    triangles = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return np.column_stack([cols, rows]).astype(np.uint16), triangles
+    # The last corner of a triangle gives its colour.
+    return np.column_stack([cols, rows]).astype(np.uint16), cells_of(side + 1)[:, [0, 2, 1]]
 
 
 def skirt_grid(shape: tuple[int, int]) -> Grid:
@@ -163,7 +158,6 @@ class TreeTextures:
         self.marks = _levels(context, tree, mesh.marks, 1, 1, "f1")
 
     def send_marks(self) -> None:
-        """Update the auxiliary texture: the rows of trees with changed marks."""
         mesh = self._mesh
         tree_rows = np.flatnonzero(mesh.has_changed.any(axis=1))
         if not len(tree_rows):
@@ -211,7 +205,7 @@ class TreeStore(FrontStore):
         super().__init__(context, max_bytes=max_bytes)
         self.trees: dict[int, TreeTextures] = {}
 
-    def put(self, node: int, built: "FrontPatch") -> bool:
+    def put(self, node: int, built: FrontPatch) -> bool:
         if not super().put(node, built):
             return False
         if built.mesh is not None:
@@ -238,7 +232,7 @@ class VertexTextureSurface(Surface):
         # Vertices, triangles and both together, of trees by their side and of skirts.
         self.grids: dict[Any, tuple[Any, ...]] = {}
 
-    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+    def submit(self, scene: Scene, view: View, frames: Frames) -> int:
         """Upload changes, and draw the grids of all trees in view, patch by patch."""
         mode: Any = scene.mode
         eye, n_calls = eye_of(view), 0
@@ -256,7 +250,6 @@ class VertexTextureSurface(Surface):
         return n_calls
 
     def _draw_grid(self, make: Callable[..., Grid], *arguments: Any, n: int) -> None:
-        """Draw a grid for each of the `n` positions in `trees`."""
         if arguments not in self.grids:
             places, triangles = (self._context.buffer(part.tobytes()) for part in make(*arguments))
             array = self._context.vertex_array(
@@ -269,11 +262,11 @@ class VertexTextureSurface(Surface):
 
     def prepare(
         self,
-        scene: "Scene",
+        scene: Scene,
         node: int,
-        patch: "FrontPatch",
-        followed: "Followed",
-        eye: "Eye",
+        patch: FrontPatch,
+        followed: Followed,
+        eye: Eye,
         program: Any,
     ) -> int:
         """Fill buffers, textures and uniforms for a patch; return the number of trees in view."""
@@ -303,13 +296,13 @@ class VertexTextureSurface(Surface):
         }  # fmt: skip
         set_uniforms(program, values)
         for unit, texture in (
-            (_SLOPES, self.store.slopes), (_HEIGHTS, textures.heights),
+            (_SLOPES, self.store.layers.textures[0]), (_HEIGHTS, textures.heights),
             (_BOUNDS, textures.bounds), (_MARKS, textures.marks),
         ):  # fmt: skip
             texture.use(unit)
         return len(trees)
 
-    def _fill_trees(self, trees: NDArray[np.int64], patch: "FrontPatch", eye: "Eye") -> None:
+    def _fill_trees(self, trees: NDArray[np.int64], patch: FrontPatch, eye: Eye) -> None:
         a, b, c, d, e, f = patch.mesh.matrix
         rows, cols = (trees << patch.mesh.tree.top).T
         places = np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])
@@ -318,12 +311,12 @@ class VertexTextureSurface(Surface):
             self.trees.orphan(content.nbytes)
         self.trees.write(content.tobytes())
 
-    def parts(self) -> list[Any]:
-        grids = [part for parts in self.grids.values() for part in reversed(parts)]
-        return [*grids, self.trees]
+    def release(self) -> None:
+        super().release()
+        release_all(*(part for parts in self.grids.values() for part in reversed(parts)))
 
 
-def _trees_in_view(tree: HaarTree, matrix: tuple[float, ...], eye: "Eye") -> NDArray[np.int64]:
+def _trees_in_view(tree: HaarTree, matrix: tuple[float, ...], eye: Eye) -> NDArray[np.int64]:
     """Return rows and columns of trees whose boxes are not behind a plane, shape (n, 2)."""
     n_rows, n_cols = (int(n) for n in tree.layout[-1, N_ROWS:])
     bounds, side = tree.bounds[-n_rows * n_cols :].astype(np.float64), 1 << tree.top

@@ -51,7 +51,6 @@ def square_near(camera: Camera, height: float, least: float = 0.0) -> Square:
 
 
 def is_near(one: Square, other: Square) -> bool:
-    """Return whether one square can be used for the other."""
     moved = max(abs(one.x - other.x), abs(one.y - other.y))
     scale = one.half / other.half
     return moved < 2 * _MOVED * one.half and 1 / _SCALED < scale < _SCALED

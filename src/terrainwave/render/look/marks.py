@@ -57,14 +57,9 @@ def check_marks(size: tuple[int, int], style: Style, *, legend: bool, scale_bar:
 def legend_of(
     style: Style, palette: Palette, frame: Frame, units: str | None, *, has_voids: bool
 ) -> Legend:
-    """Return the legend of a picture's colours.
+    """Return the legend of a picture's colours, those of the raster's middle latitude.
 
-    Parameters
-    ----------
-    palette : Palette
-        In metres or, of slopes, degrees; colours are those of the raster's middle latitude.
-    units : str, optional
-        The file's unit of heights.
+    The palette is in metres or, of slopes, degrees; `units` is the file's unit of heights.
     """
     per_unit = frame.metres[2]
     title = f"{'depth' if per_unit < 0 else 'height'}, {unit_text(units)}"
@@ -107,7 +102,6 @@ class Ink:
         self.draw.multiline_text((x, y), words, font=self.font, fill=WHITE)
 
     def scale_bar(self, metres_per_pixel: float) -> None:
-        """Draw a bar of a round length at the lower right."""
         metres = round_length(metres_per_pixel * _LONGEST_BAR)
         length = metres / metres_per_pixel
         x, y = self.image.width - 24 - length, self.image.height - 22

@@ -5,18 +5,17 @@ under which there is no dry land.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.look.ramps import DEEPEST_LAND
+from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.walls import level_within, read_metres
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.scene.frame import Frame
+from terrainwave.tri.quads import grown
 
 # Values of `Water.cells`: no water; water where heights are 0; water at and below 0.
 LAND, LEVEL, DEEP = 0, 128, 255
@@ -51,7 +50,7 @@ EVERYWHERE = Water(np.array([[DEEP]], dtype=np.uint8), 1)
 NOWHERE = Water(np.array([[LAND]], dtype=np.uint8), 1)
 
 
-def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
+def waves_of(terrain: TerrainFile, frame: Frame) -> float:
     """Return the metres around 0 that are level water.
 
     These are heights that decode to 0 within the bound, and float32 rounding.
@@ -60,19 +59,13 @@ def waves_of(terrain: "TerrainFile", frame: "Frame") -> float:
     return min(error, _MOST_WAVES) + _ROUNDED
 
 
-def may_have_water(terrain: "TerrainFile", frame: "Frame") -> bool:
+def may_have_water(terrain: TerrainFile, frame: Frame) -> bool:
     lowest = float(frame.box[0][2]) / frame.exaggeration
     return frame.body in (EARTH, UNKNOWN) and lowest <= waves_of(terrain, frame)
 
 
-def read_water(terrain: "TerrainFile", frame: "Frame") -> Water:
-    """Return the water of a terrain; reads one level of at most 1025 samples a side.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the coarsest level is damaged.
-    """
+def read_water(terrain: TerrainFile, frame: Frame) -> Water:
+    """Return the water of a terrain; reads one level of at most 1025 samples a side."""
     if not may_have_water(terrain, frame):
         return NOWHERE
     level = level_within(terrain, _SIDE)
@@ -94,29 +87,19 @@ def find_water(
     is_low = valid & (heights <= waves)
     labels = _labels(is_low)
     has_depth = _chosen(labels, np.bincount(labels[valid & (heights < DEEPEST_LAND)]) > 0)
-    area = is_level & _grown(is_level & ~_grown(valid & ~is_level, 1), 1)
+    area = is_level & grown(is_level & ~grown(valid & ~is_level, 1), 1)
     labels = _labels(area)
     n_samples = np.bincount(labels.ravel())
     n_beside = _beside(labels, valid & ~is_level)
     n_lower = _beside(labels, is_low & ~is_level)
     is_sea = (n_lower <= _MOST_LOWER * n_beside) | (n_samples >= _LEAST_WIDTH * n_lower)
     cells = np.full(heights.shape, LAND, dtype=np.uint8)
-    cells[_grown(_chosen(labels, is_sea), _RIM)] = LEVEL
-    cells[_grown(has_depth, _RIM)] = DEEP
+    cells[grown(_chosen(labels, is_sea), _RIM)] = LEVEL
+    cells[grown(has_depth, _RIM)] = DEEP
     return cells
 
 
-def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
-    """Return samples grown `n_times` by their eight neighbours."""
-    for _ in range(n_times):
-        wide = np.pad(found, 1)
-        wide = wide[:-2] | wide[1:-1] | wide[2:]
-        found = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
-    return found
-
-
 def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the samples with a chosen label; the label 0 is never chosen."""
     table = np.zeros(labels.size + 1, dtype=np.bool_)
     table[1 : len(is_chosen)] = is_chosen[1:]
     found: NDArray[np.bool_] = table[labels]

@@ -26,13 +26,7 @@ MODES = tuple(_CLASSES)
 
 
 def options_of(name: str, **options: Any) -> dict[str, Any]:
-    """Return the given options of a mode: neither None nor False.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the mode does not have one of them.
-    """
+    """Return the given options of a mode: neither None nor False."""
     given = {option: value for option, value in options.items() if value not in (None, False)}
     for option in given:
         if option not in mode_class(name).options:
@@ -44,13 +38,6 @@ def options_of(name: str, **options: Any) -> dict[str, Any]:
 
 
 def mode_class(name: str) -> "type[Mode]":
-    """Return the class of a mode.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the name is unknown.
-    """
     if name not in _CLASSES:
         raise InvalidArgumentError(f"found `mode` {name!r}, expected one of {', '.join(MODES)}")
     module, attribute = _CLASSES[name]

@@ -31,13 +31,11 @@ class Adaptive(BoundedMode):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Return a note that the recursion decodes the whole file."""
         if error != "paper":
             return None
         return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
     def _recursive_errors(self) -> list[NDArray[np.float64]] | None:
-        """Return Err_Appr of every block by the paper's recursion, if requested."""
         if self.error != "paper":
             return None
         n_rows, n_cols = self.terrain.shape

@@ -68,12 +68,7 @@ class RegularBlock(NamedTuple):
 
 
 class Batched(BoundedMode):
-    """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors.
-
-    Notes
-    -----
-    Nothing is decoded before a block is wanted.
-    """
+    """Zhang et al.'s blocks, selected by their criterion or by guaranteed errors."""
 
     name = "batched"
     options = ("detail", "order", "orientation")
@@ -88,7 +83,12 @@ class Batched(BoundedMode):
     ) -> None:
         super().__init__(needs, orientation=orientation)
         terrain, frame = self.terrain, self.frame
-        self._mu = self._checked_detail(detail)
+        if detail is not None and self.error != "paper":
+            raise InvalidArgumentError(
+                f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
+                " measured errors need no factor"
+            )
+        self._mu = MU if detail is None else detail
         self._order = order
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
@@ -96,18 +96,6 @@ class Batched(BoundedMode):
         low, high = frame.height_range
         self._middle, self._largest = (low + high) / 2, (high - low) / 2
         self._grids: Cache[Block, BlockGrid] = Cache(_CACHED_GRIDS)
-
-    def _checked_detail(self, detail: float | None) -> float:
-        if detail is None:
-            return MU
-        if self.error != "paper":
-            raise InvalidArgumentError(
-                f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
-                " measured errors need no factor"
-            )
-        return detail
-
-    # The tree, from the index
 
     def roots(self) -> list[NodeInfo]:
         return [self._info(block) for block in self.terrain.grid.blocks(0)]
@@ -144,8 +132,6 @@ class Batched(BoundedMode):
         a, b, _, d, e, _ = self.frame.sample_matrix
         return math.sqrt(abs(a * e - b * d))
 
-    # In workers
-
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
         block = piece.block
         children = self.children(piece)
@@ -168,7 +154,7 @@ class Batched(BoundedMode):
         return RegularBlock(
             np.pad(both, (*missing, (0, 0)), constant_values=np.nan),
             slopes,
-            n_grid_triangles(self._side) if has_any else 0,
+            2 * self._side**2 + 8 * self._side if has_any else 0,  # and those of skirts
             self._middle,
             self._bound(block, error),
             float(np.nanmax(apart)) if has_any else 0.0,
@@ -177,7 +163,6 @@ class Batched(BoundedMode):
         )
 
     def _prefetch(self, block: Block) -> None:
-        """Fetch the data of a block and its slopes in one request."""
         grid, level = self.terrain.grid, block.level
         near = grid.block_region(block, 2).intersect(Region(0, 0, *grid.level_shape(level)))
         keys = units_of(grid, level, near)
@@ -232,7 +217,6 @@ class Batched(BoundedMode):
         return own * self.frame.error_metres + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:
-        """Return rows and columns of a block, including those past the raster's edge."""
         side, stride = self._side, self.terrain.grid.stride(block.level)
         rows, cols = (-(-(n - 1) // stride) for n in self.terrain.shape)
         return min(side, rows - block.row * side) + 1, min(side, cols - block.col * side) + 1
@@ -242,15 +226,11 @@ class Batched(BoundedMode):
         return error + 4 * self._largest * FLOAT32_ROUNDING
 
     def _samples(self, key: Block, region: Region) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Return quanta and validity of a unit's samples in a region."""
         _, decoded = self.terrain.decoder.part(key, region)
         return decoded.heights, decoded.mask
 
     def _metres(self, quanta: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return heights above the middle, metres."""
         return self._scale.metres(quanta) - self._middle
-
-    # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:
         """Return τ / α: h / (2 tan(fov / 2)) (eq. 3), or the guaranteed γ."""
@@ -269,7 +249,6 @@ class Batched(BoundedMode):
     def frames(
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
-        """Return morphs and skirts: as the errors require, or as in the paper."""
         if self.error != "paper":
             return super().frames(table, view, selection, tau, n_missing)
         nodes, distances = selection.nodes, selection.distances
@@ -284,11 +263,6 @@ class Batched(BoundedMode):
             nodes, distances, morphs, (steepest + 1) * errors,
             selection.n_triangles, tau * view.flatness, n_missing,
         )  # fmt: skip
-
-
-def n_grid_triangles(side: int) -> int:
-    """Return the triangles of a block and its skirts."""
-    return 2 * side * side + 8 * side
 
 
 def _continued(

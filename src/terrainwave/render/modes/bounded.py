@@ -15,10 +15,7 @@ MORPH_START = 1.25
 class BoundedMode(Mode):
     """Mode whose pieces and pictures have guaranteed errors.
 
-    Parameters
-    ----------
-    orientation : bool
-        Errors count by the direction from which they are seen (`kernels.oriented_distance`).
+    With `orientation` errors count by the direction from which they are seen.
     """
 
     def __init__(self, needs: ModeNeeds, *, orientation: bool = False) -> None:
@@ -30,16 +27,11 @@ class BoundedMode(Mode):
         self.is_oriented = orientation
 
     def split_error(self, tau: float) -> float:
-        """Return the error on screen above which pieces are split, for the requested τ."""
         return tau / MORPH_START
 
     def frames(
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
-        """Return how to draw a selection that was split at `tau`, from `split_error`.
-
-        Pieces are split at τ / MORPH_START, so that the drawn ones may use up to τ.
-        """
         # The nearest first: hidden parts need not be shaded.
         order = np.argsort(selection.distances, kind="stable")
         nodes, distances = selection.nodes[order], selection.distances[order]

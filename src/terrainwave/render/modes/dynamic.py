@@ -22,14 +22,9 @@ from terrainwave.tri.followed import Eye, Followed
 
 
 class Dynamic(FrontMode):
-    """A mesh from the marks of Haar quadtrees that follow the camera.
+    """A mesh from the marks of Haar quadtrees of `tree` x `tree` samples that follow the camera.
 
-    Parameters
-    ----------
-    stepwise : bool
-        Change marks by one height per frame, as in the paper.
-    tree : int, optional
-        Samples per side of a tree, a power of two, 2 to 256: no node is larger. 16 by default.
+    With `stepwise` marks change by one height per frame, as in the paper.
     """
 
     name = "dynamic"
@@ -47,7 +42,6 @@ class Dynamic(FrontMode):
         self.arrange()
 
     def arrange(self) -> None:
-        """Set the extent of patches for a size of trees."""
         self.cells, self.apron, self.beyond = self.samples, 2 * self.tree, 2 * self.tree
 
     def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> DynamicMesh:

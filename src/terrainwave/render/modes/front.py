@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.block_stats import with_outside
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.mesh_data import walls_below
 from terrainwave.read.decoder import units_of
 from terrainwave.render.modes.mode import NO_PROMISE, Frames, Mode, ModeNeeds
 from terrainwave.render.scene.camera import Camera, focal_length, slant
@@ -80,23 +81,6 @@ class PatchFrame(NamedTuple):
     error: float
 
 
-class PatchSamples(NamedTuple):
-    """A rectangle of a level."""
-
-    region: Region
-    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
-    # shape (n_rows, n_cols, 3); metres per metre to the east and to the north, and heights
-    # (`HeightTexels`)
-    slopes: NDArray[np.float16]
-
-
-class Continued(NamedTuple):
-    """The heights of a patch, and of samples beyond the raster's outline."""
-
-    heights: NDArray[np.float64]  # shape (n_rows, n_cols); metres; NaN in voids
-    lead: tuple[int, int]  # rows and columns before those of the patch
-
-
 @dataclass(frozen=True)
 class FrontPatch:
     """Result of `build`: a mesh that follows the camera over samples of one level."""
@@ -104,10 +88,10 @@ class FrontPatch:
     piece: Piece
     region: Region  # of the level
     matrix: tuple[float, ...]  # positions of its samples in local metres, counted from its first
-    slopes: NDArray[np.float16]  # as of `PatchSamples`
-    # over `Continued.heights`: a DynamicMesh or a RestrictedMesh; None if there is nothing to draw
+    slopes: NDArray[np.float16]  # of `Texels.of`
+    # over its continued heights: a DynamicMesh or a RestrictedMesh; None if all is void
     mesh: Any
-    lead: tuple[int, int]  # as of `Continued`
+    lead: tuple[int, int]  # rows and columns of continued heights before those of the patch
     error: float  # largest distance of originals from triangles between all samples, metres
     children: list[NodeInfo]
     side: int  # samples per side of the mode's largest patches
@@ -127,7 +111,6 @@ class FrontPatch:
 
 
 def eye_of(view: View) -> Eye:
-    """Return the input of errors on screen."""
     return Eye(
         view.camera.eye,
         view.camera.forward,
@@ -167,11 +150,8 @@ class FrontMode(Mode):
         self.followed: list[Followed] = []  # statistics of their meshes
         self.first_vertices: list[int] = []  # first vertex of each in `drawn`
 
-    # The tree
-
     @property
     def side(self) -> int:
-        """Return the samples per side of the largest patches."""
         return min(self._reach, max(self.terrain.shape))
 
     @property
@@ -181,7 +161,6 @@ class FrontMode(Mode):
 
     @property
     def _mesh_side(self) -> int:
-        """Return the samples per side of the largest meshes."""
         return min(self._reach, self.side + 1 + self.apron + self.beyond)
 
     def _n_pieces(self, level: int) -> tuple[int, int]:
@@ -214,11 +193,14 @@ class FrontMode(Mode):
         row, col = (k * self.cells - self.apron for k in (piece.row, piece.col))
         return Region(row, col, self._reach, self._reach).intersect(level)
 
-    def _continue(self, piece: Piece, region: Region, heights: NDArray[np.float64]) -> Continued:
+    def _continue(
+        self, piece: Piece, region: Region, heights: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], tuple[int, int]]:
         """Continue the heights of a patch beyond the outline, if it has a part of that.
 
         A mesh may end short of its last samples, and a coarse level ends short of the raster. The
-        continuation makes it cover the whole raster; shaders clip the rest.
+        continuation makes it cover the whole raster; shaders clip the rest. The second result are
+        rows and columns before those of the patch.
         """
         grid, outside, beyond = self.terrain.grid, [], []
         shape, stride = grid.level_shape(piece.level), grid.stride(piece.level)
@@ -237,10 +219,9 @@ class FrontMode(Mode):
         linear = with_outside(heights, *wide.shape)
         # If one of the last two is void, repeat the last.
         wide = np.where(np.isnan(linear), wide, linear)
-        return Continued(np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0]))
+        return np.pad(wide, beyond, mode="edge"), (beyond[0][0], beyond[1][0])
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
-        """Return the blocks that hold the cells of a region of samples, within its level."""
         grid = self.terrain.grid
         rows, cols = (
             range(
@@ -274,22 +255,17 @@ class FrontMode(Mode):
         largest = max(map(abs, self.frame.height_range))
         return error * self.frame.error_metres + largest * FLOAT32_ROUNDING
 
-    # In worker threads
-
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
         region = self.region(piece)
         info = self._info(piece)
         children = self.children(piece)
-        samples = self.read(piece.level, region)
+        heights, slopes = self.read(piece.level, region)
         go_on(is_cancelled)
-        a, b, c, d, e, f = self.frame.sample_matrix
-        stride = self.terrain.grid.stride(piece.level)
-        row, col = region.row * stride, region.col * stride
-        x, y = a * col + b * row + c, d * col + e * row + f
-        matrix = a * stride, b * stride, x, d * stride, e * stride, y
+        matrix = self.frame.matrix_of(region, self.terrain.grid.stride(piece.level))
         error, mesh = info.error, None
-        heights, lead = self._continue(piece, region, samples.heights)
-        if min(self.terrain.shape) > 1 and not np.isnan(samples.heights).all():
+        is_void = np.isnan(heights).all()
+        heights, lead = self._continue(piece, region, heights)
+        if min(self.terrain.shape) > 1 and not is_void:
             if piece.level < self.n_levels - 1:  # originals also lie between samples
                 error += twist_of(heights)
             mesh = self.make_mesh(
@@ -297,15 +273,11 @@ class FrontMode(Mode):
                 base_error=error, open_sides=_ALL_OPEN, scratch=self.scratch,
             )  # fmt: skip
         return FrontPatch(
-            piece, region, matrix, samples.slopes, mesh, lead, error, children, self.side,
+            piece, region, matrix, slopes, mesh, lead, error, children, self.side,
             self.sample_bytes * self._mesh_side ** 2, self.between(piece.level, heights),
         )  # fmt: skip
 
-    def between(
-        self,
-        level: int,  # noqa: ARG002, as modes whose coarse levels lack originals need both
-        heights: NDArray[np.float64],  # noqa: ARG002
-    ) -> float:
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:  # noqa: ARG002
         """Return how much further originals may be from triangles between samples than at them.
 
         Only for skirts: where levels have all originals, these are at samples.
@@ -316,8 +288,8 @@ class FrontMode(Mode):
     def make_mesh(self, piece: Piece, heights: NDArray[np.float64], **given: Any) -> Any:
         """Return the mesh of a patch, `given` most of its arguments. Thread-safe."""
 
-    def read(self, level: int, region: Region) -> PatchSamples:
-        """Return samples of a level. Thread-safe."""
+    def read(self, level: int, region: Region) -> tuple[NDArray[np.float64], NDArray[np.float16]]:
+        """Return heights of a level, metres, NaN in voids, and `Texels` of it. Thread-safe."""
         terrain = self.terrain
         whole = Region(0, 0, *terrain.grid.level_shape(level))
         wide = Region(region.row - 1, region.col - 1, region.n_rows + 2, region.n_cols + 2)
@@ -330,17 +302,13 @@ class FrontMode(Mode):
         slopes = self._texels.of(
             (quanta, mask), first, region.shape, region.shape, terrain.grid.stride(level)
         )
-        return PatchSamples(region, heights, slopes)
-
-    # Loading and dropping of pieces
+        return heights, slopes
 
     def keep(self, piece: Piece, built: Any) -> None:
         self._patches[piece] = built
 
     def drop(self, piece: Piece) -> None:
         del self._patches[piece]
-
-    # Each frame
 
     def wanted(
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
@@ -375,7 +343,6 @@ class FrontMode(Mode):
         return nodes
 
     def split_error(self, tau: float) -> float:
-        """Return the error of levels above which pieces are split, for the requested τ."""
         return tau * _LEVEL_SHARE
 
     def frames(
@@ -466,7 +433,6 @@ class FrontMode(Mode):
         return own + beside
 
     def _join(self, frames: list[PatchFrame], depths: NDArray[np.float64]) -> None:
-        """Make one mesh of all patches with their skirts."""
         parts, starts = [], [0]
         for frame, depth in zip(frames, depths.tolist(), strict=True):
             part = _with_skirts(frame, depth)
@@ -491,9 +457,7 @@ def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
     top, numbers = np.unique(edges, return_inverse=True)
     a, b = edges.T
     lower_a, lower_b = (n + numbers.reshape(edges.shape)).T
-    skirts = np.concatenate(
-        [np.column_stack([b, a, lower_a]), np.column_stack([b, lower_a, lower_b])]
-    )
+    skirts = walls_below(a, b, lower_a, lower_b)
     return Drawn(
         np.concatenate([drawn.vertices, drawn.vertices[top]]),
         np.concatenate([drawn.triangles, skirts.astype(np.int32)]),

@@ -22,5 +22,4 @@ class Full(Adaptive):
         """Return None: errors select nothing here."""
 
     def split_error(self, tau: float) -> float:  # noqa: ARG002, as in `Mode`
-        """Return a negative error: all pieces are split."""
         return -1.0

@@ -39,7 +39,6 @@ class Loose(Adaptive):
     def frames(
         self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
     ) -> Frames:
-        """Return how to draw a selection, with the largest error of its meshes on screen."""
         frames = super().frames(table, view, selection, tau, n_missing)
         errors = np.array([self._drawn_errors[table.pieces[node]] for node in frames.nodes])
         above = np.maximum(errors - table.errors[frames.nodes], 0.0)

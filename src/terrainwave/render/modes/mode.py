@@ -13,19 +13,17 @@ results of `build`, and a program draws them (`render.gpu.surface`).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
@@ -49,7 +47,7 @@ class Frames(NamedTuple):
 class ModeNeeds(NamedTuple):
     """Arguments of every mode."""
 
-    terrain: "TerrainFile"
+    terrain: TerrainFile
     frame: Frame  # local metres; its exaggeration is not used: the GPU applies it
     # one of the mode's `errors`: guaranteed errors and γ ("measured"), those of its paper
     # ("paper"), or the file's wavelet coefficients ("coefficient")
@@ -94,18 +92,12 @@ class Mode(ABC):
     def children(self, piece: Piece) -> list[NodeInfo]:
         """Return a piece's children, which replace it all at once; at most four. Thread-safe."""
 
-    # In worker threads
-
     @abstractmethod
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
         """Build the drawable form of a piece. Thread-safe.
 
-        Raises
-        ------
-        Cancelled
-            If `is_cancelled` returns True between two steps.
-        CorruptStreamError
-            If the file is damaged there.
+        Raises `Cancelled` if `is_cancelled` returns True between two steps, `CorruptStreamError` if
+        the file is damaged there.
         """
 
     # In the drawing thread, when pieces are loaded and dropped
@@ -115,8 +107,6 @@ class Mode(ABC):
 
     def drop(self, piece: Piece) -> None:  # noqa: B027
         """Remove a piece that has left the store."""
-
-    # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
@@ -148,12 +138,7 @@ class Mode(ABC):
         """Return the nodes to have in memory for a camera, the most urgent first."""
         return table.wanted(view, max_blocks, tau, camera)
 
-    def spare(
-        self,
-        table: NodeTable,  # noqa: ARG002, as modes that read ahead need all three
-        view: View,  # noqa: ARG002
-        max_blocks: int,  # noqa: ARG002
-    ) -> NDArray[np.int32]:
+    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:  # noqa: ARG002
         """Return further pieces to load once all wanted ones are here."""
         return np.empty(0, dtype=np.int32)
 

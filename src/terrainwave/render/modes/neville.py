@@ -40,13 +40,8 @@ def _missed(height, near, far, n_near, near_weight, far_weight, order):
 def fill_details(fine, order, out):
     """Fill `out` with samples of odd rows or columns less their predictions by even ones.
 
-    Parameters
-    ----------
-    fine : ndarray of float64, shape (2n + 5, 2m + 5)
-        Samples in a ring of `RING`, NaN where void or unknown.
-    order : int
-        Where samples needed by order 4 are NaN, order 2 predicts; where its are, the detail is 0.
-    out : ndarray of float64, shape (2n + 5, 2m + 5)
+    `fine` and `out`, float64 (2n + 5, 2m + 5), are samples in a ring of `RING`, NaN where unknown.
+    Where samples needed by order 4 are NaN, order 2 predicts; where its are, the detail is 0.
     """
     out[:] = 0.0
     for r in range(RING, fine.shape[0] - RING):
@@ -128,15 +123,9 @@ def update(fine, details, order, coarse):
 
 
 def filtered(fine, valid, order, coarse):
-    """Return the level above `fine`; `coarse` has its heights where those of `fine` are void.
+    """Return the level above `fine`, float64 (n, m); `coarse` has its heights where `fine` is void.
 
-    Parameters
-    ----------
-    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
-    order : int
-        2 or 4.
-    coarse : ndarray of float64, shape (n, m)
-        NaN where it has no heights either.
+    `fine` and `valid` have the shape (2n - 1, 2m - 1); `order` is 2 or 4.
     """
     known = np.pad(np.where(valid, fine, np.nan), RING, constant_values=np.nan)
     details, out = np.empty_like(known), coarse.copy()

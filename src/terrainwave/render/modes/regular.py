@@ -37,17 +37,11 @@ def fill_parent_heights(vertices, parent, first_row, first_col, out):
 def largest_deviation(vertices, fine, valid, rows, cols, has_between):
     """Return the distance of the bilinear surface of finer samples from a block's, at valid ones.
 
-    Parameters
-    ----------
-    vertices : ndarray of float32, shape (n, m)
-    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
-        Heights and validity of the next finer level.
-    rows, cols : tuple of int
-        First and end of the rows and columns to use.
-    has_between : bool
-        Whether there are originals between samples of the finer level. If so, distances between
-        samples are measured too: along edges of its cells both are linear, and a bilinear cell less
-        a plane is largest on edges, so only cuts of cells remain, where it is quadratic.
+    `vertices` are float32 (n, m), `fine` and `valid` the next finer level's (2n - 1, 2m - 1), of
+    which the rows and columns from `rows[0]` to before `rows[1]` count. With `has_between` there
+    are originals between samples, and distances there count: along edges of its cells both are
+    linear, and a bilinear cell less a plane is largest on edges, so only cuts of cells remain,
+    where it is quadratic.
     """
     largest = 0.0
     for row in range(rows[0], rows[1]):

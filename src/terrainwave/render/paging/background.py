@@ -36,13 +36,6 @@ class Background(Threads):
             self._changed.notify()
 
     def poll(self) -> None:
-        """Handle the finished results.
-
-        Raises
-        ------
-        Exception
-            An exception of a function that is not a `TerrainwaveError`.
-        """
         while True:
             try:
                 value, error, then = self._done.get_nowait()

@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,11 +21,6 @@ class Motion:
     """The last positions of a camera and its steady speed. Used by one thread.
 
     Zhang et al. 2012, eq. 15, predict one frame, P₂ = 2 P₁ − P₀; here the same line, by seconds.
-
-    Parameters
-    ----------
-    clock : callable
-        Seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -65,9 +59,7 @@ class Motion:
         speed = (now.eye - before.eye) / seconds
         cameras = []
         for later in AHEAD:
-            x, y, z = now.eye + speed * later
             # Turns last less long than flights.
             share = min(later, 1.0) / seconds
-            there = replace(now, position=(float(x), float(y), float(z)))
-            cameras.append(look(there, turn * share, tilt * share))
+            cameras.append(look(now.at(now.eye + speed * later), turn * share, tilt * share))
         return cameras

@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from terrainwave import interrupts
@@ -19,11 +18,6 @@ class Arrival(NamedTuple):
     key: Any
     value: Any
     error: BaseException | None
-
-
-@dataclass
-class _Running:
-    is_wanted: bool = True
 
 
 class Pager(Threads):
@@ -43,7 +37,7 @@ class Pager(Threads):
         self._build = build
         self._max_ready = max_ready
         self._queue: deque[Hashable] = deque()
-        self._running: dict[Hashable, _Running] = {}
+        self._running: dict[Hashable, bool] = {}  # whether each is still wanted
         self._ready: deque[Arrival] = deque()
         self._ready_keys: set[Hashable] = set()
         # processor time of the last builds, milliseconds
@@ -58,8 +52,7 @@ class Pager(Threads):
         """
         with self._changed:
             wanted = set(keys)
-            for key, running in self._running.items():
-                running.is_wanted = key in wanted
+            self._running = {key: key in wanted for key in self._running}
             self._queue = deque(
                 key for key in keys if key not in self._running and key not in self._ready_keys
             )
@@ -83,23 +76,22 @@ class Pager(Threads):
             )
 
     def close(self, patience: float | None = None) -> None:
-        """Stop the threads; unfinished work is dropped."""
         self.request([])
         super().close(patience)
 
     def _has_work(self) -> bool:
         return bool(self._queue) and len(self._ready) < self._max_ready
 
-    def _take(self) -> tuple[Hashable, _Running]:
+    def _take(self) -> Hashable:
         key = self._queue.popleft()
-        running = self._running[key] = _Running()
-        return key, running
+        self._running[key] = True
+        return key
 
-    def _do(self, work: tuple[Hashable, _Running]) -> None:
+    def _do(self, work: Hashable) -> None:
         started = time.thread_time()
-        built = self._attempt(*work)
+        built = self._attempt(work)
         with self._changed:
-            del self._running[work[0]]
+            del self._running[work]
             if built is None:
                 self.n_cancelled += 1
             else:
@@ -108,9 +100,9 @@ class Pager(Threads):
                 self._ready_keys.add(built.key)
             self._changed.notify_all()
 
-    def _attempt(self, key: Hashable, running: _Running) -> Arrival | None:
+    def _attempt(self, key: Hashable) -> Arrival | None:
         try:
-            value = self._build(key, lambda: not running.is_wanted)
+            value = self._build(key, lambda: not self._running[key])
         except (Cancelled, KeyboardInterrupt):  # from `interrupts.check`
             return None
         except Exception as error:  # noqa: BLE001  the thread that draws decides what it means

@@ -3,12 +3,9 @@
 import math
 import time
 from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING
 
 from terrainwave.errors import SourceUnavailableError
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
+from terrainwave.file import TerrainFile
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds
 _SILENCE = 5.0
@@ -58,7 +55,6 @@ class Problems:
         self._try_at = self._last_sign = self._clock()
 
     def _has_replied(self) -> bool:
-        """Return whether the server has sent anything since the last call."""
         n_before, self._n_replies = self._n_replies, self._count() if self._count else 0
         if self._n_replies != n_before:
             self._last_sign = self._clock()
@@ -97,7 +93,7 @@ class Problems:
         return lines
 
 
-def replies_of(terrain: "TerrainFile") -> Callable[[], int] | None:
+def replies_of(terrain: TerrainFile) -> Callable[[], int] | None:
     """Return a counter of the replies of a terrain's server; None without a server."""
     source = terrain.container.source
     return (lambda: int(source.n_replies)) if hasattr(source, "n_replies") else None

@@ -4,19 +4,16 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
 
 from terrainwave.errors import TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import units_of
+from terrainwave.render.modes.mode import Mode
 from terrainwave.render.paging.problems import replies_of
 from terrainwave.render.paging.threads import Threads
+from terrainwave.render.scene.camera import Camera
 from terrainwave.render.scene.selection import NodeTable, Piece, View
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.modes.mode import Mode
-    from terrainwave.render.scene.camera import Camera
 
 # Two simultaneous calls, so that the line is never idle between them; each with few pieces, so that
 # another camera need not wait long for its own.
@@ -30,6 +27,10 @@ PATIENCE = 1.0  # seconds
 _RING = 2
 
 
+# A view, its τ, and which pieces are loaded.
+_Wish = tuple[View, float, Callable[[Piece], bool]]
+
+
 class Descent(Threads):
     """Thread that finds the data of a view, only by the index, and fetches them.
 
@@ -40,7 +41,7 @@ class Descent(Threads):
     def __init__(
         self,
         # for its tree and its wanted pieces; its `wanted` uses a table of this thread's own
-        mode: "Mode",
+        mode: Mode,
         # `prefetch, units`: as of `ReadAhead`
         prefetch: Callable[[Sequence[Block]], object],
         units: Callable[[Piece], Sequence[Block]],
@@ -57,17 +58,17 @@ class Descent(Threads):
             return
         self._seen = view.camera
         with self._changed:
-            self._wish = _Wish(view, tau, is_here)
+            self._wish = view, tau, is_here
             self._changed.notify_all()
 
     def _has_work(self) -> bool:
         return self._wish is not None
 
-    def _take(self) -> "_Wish | None":
+    def _take(self) -> _Wish | None:
         wish, self._wish = self._wish, None
         return wish
 
-    def _do(self, work: "_Wish") -> None:
+    def _do(self, work: _Wish) -> None:
         # Building the piece will raise the error again, and report it.
         with suppress(TerrainwaveError):
             self._fetch(self._pieces(work))
@@ -79,20 +80,20 @@ class Descent(Threads):
             table.add(info)
         return table
 
-    def _pieces(self, wish: "_Wish") -> list[Piece]:
+    def _pieces(self, wish: _Wish) -> list[Piece]:
         """Return the missing pieces, the coarsest first; reads the index."""
         if self._table.n_known > _MOST_KNOWN:
             self._table = self._roots()
-        table, mode = self._table, self._mode
+        table, mode, (view, tau, is_here) = self._table, self._mode, wish
         while True:
-            nodes = mode.wanted(table, wish.view, wish.tau, _MOST_PIECES, wish.view.camera)
-            new = nodes[~table.is_known[nodes] & ~table.are_fine(wish.view, nodes, wish.tau)]
+            nodes = mode.wanted(table, view, tau, _MOST_PIECES, view.camera)
+            new = nodes[~table.is_known[nodes] & ~table.are_fine(view, nodes, tau)]
             if not len(new) or self._is_stale:
                 break
             for node in new.tolist():
                 table.add_children(node, mode.children(table.pieces[node]))
         pieces = [table.pieces[node] for node in nodes.tolist()]
-        return [piece for piece in pieces if not wish.is_here(piece)]
+        return [piece for piece in pieces if not is_here(piece)]
 
     def _fetch(self, pieces: list[Piece]) -> None:
         for first in range(0, len(pieces), _BATCH):
@@ -104,14 +105,6 @@ class Descent(Threads):
     @property
     def _is_stale(self) -> bool:
         return self._is_closed or self._wish is not None
-
-
-class _Wish(NamedTuple):
-    """Request: a view, its τ, and which pieces are loaded."""
-
-    view: View
-    tau: float
-    is_here: Callable[[Piece], bool]
 
 
 class ReadAhead(Threads):
@@ -164,14 +157,14 @@ class ReadAhead(Threads):
             self._descent.close(patience)
 
 
-def units_of_piece(terrain: "TerrainFile", piece: Piece) -> list[Block]:
+def units_of_piece(terrain: TerrainFile, piece: Piece) -> list[Block]:
     """Return the keys of the units that hold a block and the samples around it."""
     grid = terrain.grid
     level = Region(0, 0, *grid.level_shape(piece.level))
     return units_of(grid, piece.level, grid.block_region(piece.block, _RING).intersect(level))
 
 
-def read_ahead_of(terrain: "TerrainFile", mode: "Mode") -> ReadAhead | None:
+def read_ahead_of(terrain: TerrainFile, mode: Mode) -> ReadAhead | None:
     """Return the read-ahead for a mode with blocks of a file on a server, else None."""
     if replies_of(terrain) is None or not hasattr(mode, "builder"):
         return None

@@ -4,12 +4,13 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.drawn_options import DrawnOptions
@@ -30,9 +31,6 @@ from terrainwave.render.scene.selection import (
     Selection,
     View,
 )
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # Pieces that one frame takes, and seconds of processor time.
 _UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
@@ -59,18 +57,11 @@ class PieceStore(Protocol):
     """Store of what `Mode.build` returns, for drawing: the GPU, or a list in tests."""
 
     @property
-    def max_blocks(self) -> int:
-        """Return how many pieces fit."""
-
-    def put(self, node: int, built: Any) -> bool:
-        """Keep what was built; false if there is no room."""
-
-    def drop(self, node: int) -> None:
-        """Forget it."""
-
+    def max_blocks(self) -> int: ...
+    def put(self, node: int, built: Any) -> bool: ...  # false if there is no room
+    def drop(self, node: int) -> None: ...
     @property
-    def n_bytes(self) -> int:
-        """Return the bytes of what is kept."""
+    def n_bytes(self) -> int: ...
 
 
 @dataclass
@@ -99,21 +90,12 @@ class SceneOptions(DrawnOptions):
 
 
 class Scene:
-    """A terrain with a store of patches.
+    """A terrain with a store of patches. Used by one thread, but for the workers.
 
-    Parameters
-    ----------
-    terrain : TerrainFile
-    store : PieceStore
-    options
-        Of `SceneOptions`.
-
-    Notes
-    -----
-    Used by one thread, but for the workers. A context manager.
+    `options` are those of `SceneOptions`.
     """
 
-    def __init__(self, terrain: "TerrainFile", store: PieceStore, **options: Any) -> None:
+    def __init__(self, terrain: TerrainFile, store: PieceStore, **options: Any) -> None:
         asked = SceneOptions(**options)
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=asked.radius, exaggeration=asked.exaggeration)
@@ -159,7 +141,6 @@ class Scene:
             self._ahead_reader.close()
 
     def exaggerate(self, factor: float) -> None:
-        """Change the vertical exaggeration; patches do not change."""
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
@@ -186,8 +167,6 @@ class Scene:
     @property
     def n_cancelled(self) -> int:
         return self._pager.n_cancelled
-
-    # One frame
 
     def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
         """Take what has been built, ask for what is missing, return what to draw. Never waits."""
@@ -228,13 +207,7 @@ class Scene:
         return frames
 
     def settle(self, view: View, *, timeout: float = 600.0) -> Frames:
-        """Return the settled frame: all that the view needs is here; waits for the workers.
-
-        Raises
-        ------
-        TerrainwaveError
-            If it takes longer than `timeout` seconds.
-        """
+        """Return the settled frame: all that the view needs is here; waits for the workers."""
         end, n_more = time.monotonic() + timeout, 1 if self.mode.has_limit else 2
         while True:
             frames = self.update(view, max_uploads=1 << 30)
@@ -307,8 +280,6 @@ class Scene:
     def _split_error(self, view: View) -> float:
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
 
-    # Paging
-
     def _forget(self) -> None:
         """Forget pieces far from where the camera is, once many are known."""
         if self.table.n_known > self._most_known:
@@ -355,12 +326,10 @@ class Scene:
         return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
 
     def _is_here(self, piece: Piece) -> bool:
-        """Say whether a piece is drawn, or could be; called by other threads."""
         node = self.table.find(piece)
         return node is not None and bool(self.table.is_resident[node])
 
     def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return nodes in the order of the error on screen of what stands in for them."""
         table = self.table
         parents = table.parents[nodes]
         above = np.maximum(parents, 0)
@@ -396,7 +365,6 @@ class Scene:
             self._take_in(view, taken[0], needs)
 
     def _take_in(self, view: View, outcome: Arrival, needs: NDArray[np.int8]) -> None:
-        """Keep what was built, or note why it could not be."""
         piece, built, error = outcome
         node = self.table.find(piece)
         if error is None:
@@ -427,7 +395,6 @@ class Scene:
     def _make_room(
         self, view: View, node: int, built: Built, needs: NDArray[np.int8], need: int
     ) -> bool:
-        """Drop pieces until one fits; say whether it does."""
         table = self.table
         needs = np.pad(needs, (0, len(table) - len(needs)))
         for threshold in range(_AHEAD, need + 1):
@@ -436,8 +403,6 @@ class Scene:
                 if self.store.put(node, built):
                     return True
         return False
-
-    # Everything, a part at a time
 
     def finest_in_view(self, view: View) -> list[int]:
         """Return the nodes of all finest pieces in view; reads the index only."""

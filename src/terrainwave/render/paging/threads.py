@@ -24,10 +24,8 @@ class Threads(ABC):
 
     @abstractmethod
     def _has_work(self) -> bool: ...
-
     @abstractmethod
     def _take(self) -> Any: ...
-
     @abstractmethod
     def _do(self, work: Any) -> None: ...
 

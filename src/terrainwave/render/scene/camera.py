@@ -7,6 +7,7 @@ The GPU gets positions relative to the eye, so that large map coordinates don't 
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +43,10 @@ class Camera:
 
     @cached_property
     def eye(self) -> Vector:
-        """Return the position as a read-only array."""
         return np.array(self.position, dtype=np.float64)
 
     @cached_property
     def axes(self) -> Vector:
-        """Return unit vectors to the right, up and forward, shape (3, 3), read-only."""
         heading, pitch = math.radians(self.heading), math.radians(self.pitch)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
         sin_p, cos_p = math.sin(pitch), math.cos(pitch)
@@ -64,6 +63,10 @@ class Camera:
         forward: Vector = self.axes[2]
         return forward
 
+    def at(self, place: Vector) -> Self:
+        x, y, z = place.tolist()
+        return replace(self, position=(x, y, z))
+
 
 @dataclass(frozen=True)
 class Viewport:
@@ -75,9 +78,6 @@ class Viewport:
     @property
     def aspect(self) -> float:
         return self.width / self.height
-
-
-# Size of an error on screen
 
 
 def focal_length(camera: Camera, viewport: Viewport) -> float:
@@ -118,9 +118,6 @@ def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
     return max(gamma_paper(camera, viewport), corner)
 
 
-# Matrices
-
-
 def view_matrix(camera: Camera) -> Vector:
     """Return the rotation from positions relative to the eye to right, up, backward; 4 x 4."""
     matrix = np.eye(4)
@@ -153,9 +150,6 @@ def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
     )
 
 
-# Text form
-
-
 def format_camera(camera: Camera, frame: Frame) -> str:
     """Return x,y,z,heading,pitch,fov: position and height in the file's CRS and unit."""
     x, y, z = frame.to_world(camera.eye[None])[0]
@@ -165,14 +159,6 @@ def format_camera(camera: Camera, frame: Frame) -> str:
 
 
 def parse_camera(line: str, frame: Frame) -> Camera:
-    """Return the camera written by `format_camera`.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If it is not five or six finite numbers (the field of view may be left out) within their
-        ranges.
-    """
     try:
         numbers = [float(part) for part in line.split(",")]
     except ValueError:
@@ -189,9 +175,6 @@ def parse_camera(line: str, frame: Frame) -> Camera:
         )
     position = frame.to_local(np.array([numbers[:3]]))[0]
     return Camera((position[0], position[1], position[2]), numbers[3], pitch, fov)
-
-
-# Initial views
 
 
 def home(
@@ -243,8 +226,7 @@ def _framed(corners: Vector, viewport: Viewport, heading: float, pitch: float | 
             shares = (seen[:, axis] - centre[axis]) / depths
             off = (shares.max() + shares.min() - least - most) / 2
             centre[axis] += off * float(depths.min())
-    x, y, z = centre @ camera.axes
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(centre @ camera.axes)
 
 
 def _window(camera: Camera, viewport: Viewport) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -278,21 +260,14 @@ def _filled(camera: Camera, viewport: Viewport, corners: Vector) -> float:
 
 
 def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
-    """Return a view of a box straight down, north up."""
     return home(box, viewport, heading=0.0, pitch=-90.0)
 
 
-# Motions
-
-
 def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:
-    """Return the camera moved along its own axes, in metres."""
-    x, y, z = camera.eye + np.array([right, up, forward]) @ camera.axes
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(camera.eye + np.array([right, up, forward]) @ camera.axes)
 
 
 def look(camera: Camera, d_heading: float, d_pitch: float) -> Camera:
-    """Return the camera rotated in place, in degrees."""
     pitch = min(max(camera.pitch + d_pitch, -_MAX_PITCH), _MAX_PITCH)
     return replace(camera, heading=(camera.heading + d_heading) % 360, pitch=pitch)
 
@@ -301,14 +276,11 @@ def orbit(camera: Camera, pivot: Vector, d_heading: float, d_pitch: float) -> Ca
     """Return the camera rotated around a point, which keeps its position in the picture."""
     seen = camera.axes @ (camera.eye - pivot)
     turned = look(camera, d_heading, d_pitch)
-    x, y, z = pivot + seen @ turned.axes
-    return replace(turned, position=(float(x), float(y), float(z)))
+    return turned.at(pivot + seen @ turned.axes)
 
 
 def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
-    """Return the camera with its distance to a point multiplied by `factor`."""
-    x, y, z = towards + (camera.eye - towards) * factor
-    return replace(camera, position=(float(x), float(y), float(z)))
+    return camera.at(towards + (camera.eye - towards) * factor)
 
 
 def along(cameras: list[Camera], share: float) -> Camera:
@@ -318,14 +290,14 @@ def along(cameras: list[Camera], share: float) -> Camera:
     """
     if len(cameras) == 1:
         return cameras[0]
-    place = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
-    key = min(int(place), len(cameras) - 2)
-    t = place - key
+    passed = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
+    key = min(int(passed), len(cameras) - 2)
+    t = passed - key
     before, start, end, after = (
         cameras[min(max(key + k, 0), len(cameras) - 1)] for k in (-1, 0, 1, 2)
     )
     p_0, p_1, p_2, p_3 = before.eye, start.eye, end.eye, after.eye
-    x, y, z = 0.5 * (
+    place = 0.5 * (
         2 * p_1
         + (p_2 - p_0) * t
         + (2 * p_0 - 5 * p_1 + 4 * p_2 - p_3) * t**2
@@ -334,8 +306,8 @@ def along(cameras: list[Camera], share: float) -> Camera:
     smooth = t * t * (3 - 2 * t)
     turn = (end.heading - start.heading + 180) % 360 - 180
     return Camera(
-        (float(x), float(y), float(z)),
+        (0.0, 0.0, 0.0),
         (start.heading + turn * smooth) % 360,
         start.pitch + (end.pitch - start.pitch) * smooth,
         start.fov + (end.fov - start.fov) * smooth,
-    )
+    ).at(place)

@@ -145,6 +145,13 @@ class Frame:
         low, high = self.box
         return float(high[2] - low[2]), math.hypot(*(high - low)[:2])
 
+    def matrix_of(self, region: Region, stride: int) -> tuple[float, ...]:
+        """Return `sample_matrix` of every `stride`-th sample, counted from a region's first."""
+        a, b, c, d, e, f = self.sample_matrix
+        row, col = region.row * stride, region.col * stride
+        x, y = a * col + b * row + c, d * col + e * row + f
+        return a * stride, b * stride, x, d * stride, e * stride, y
+
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
         return np.column_stack(pixels_to_places(self.sample_matrix, rows, cols))
@@ -173,13 +180,7 @@ class Frame:
         return matrix
 
     def exaggerated(self, factor: float) -> "Frame":
-        """Return the frame with another vertical exaggeration.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If it is not a number > 0.
-        """
+        """Return the frame with another vertical exaggeration."""
         if not (math.isfinite(factor) and factor > 0):
             raise InvalidArgumentError(f"found `exaggeration` {factor}, expected a number > 0")
         return replace(self, exaggeration=float(factor))
@@ -210,11 +211,6 @@ def frame_of(
 
     Degrees are scaled at the centre by the radii of the CRS's ellipsoid, or of a sphere of `radius`
     metres; feet become metres.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an option is out of range.
     """
     raster = terrain.raster_info
     a, b, _, d, e, _ = raster.transform

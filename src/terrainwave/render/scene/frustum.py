@@ -6,16 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.scene.camera import Camera, Viewport
-from terrainwave.render.scene.select_kernels import N_PLANES, is_outside
+from terrainwave.render.scene.select_kernels import is_outside
 
 
 def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
-    """Return five inward planes: left, right, bottom, top and the one through the eye.
+    """Return five inward planes, shape (5, 4): left, right, bottom, top and one through the eye.
 
-    Returns
-    -------
-    ndarray of float64, shape (5, 4)
-        Unit normals and offsets: n·p + w >= 0 inside. There is no far plane.
+    They are unit normals and offsets: n·p + w >= 0 inside. There is no far plane.
     """
     vertical = math.tan(math.radians(camera.fov) / 2)
     horizontal = vertical * viewport.aspect
@@ -28,7 +25,7 @@ def frustum_planes(camera: Camera, viewport: Viewport) -> NDArray[np.float64]:
             [0.0, 0.0, 1.0],
         ]
     )
-    planes = np.empty((N_PLANES, 4))
+    planes = np.empty((len(seen), 4))
     planes[:, :3] = seen @ camera.axes
     planes[:, :3] /= np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
     planes[:, 3] = -planes[:, :3] @ camera.eye
@@ -39,4 +36,4 @@ def may_see(
     planes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> bool:
     """Return whether a box may be in view; never False for one that is."""
-    return not is_outside(planes, *low, *high)
+    return not is_outside(planes, tuple(low), tuple(high))

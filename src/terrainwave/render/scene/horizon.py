@@ -76,7 +76,7 @@ class Horizon(NamedTuple):
         slopes = np.full((N_ROWS, N_COLUMNS), -np.inf)
         parts = (floors[name] for name in FLOORS.names or ())
         fill_horizon(*parts, exaggeration, aim, slopes)
-        return cls(slopes, aim)
+        return cls(np.maximum.accumulate(slopes, axis=0), aim)
 
 
 def _aim_of(
@@ -101,9 +101,6 @@ def fill_horizon(matrices, rows, cols, heights, z_scale, aim, slopes):
     """Fill a horizon, initially -inf, from `FLOORS` of pieces."""
     for k in range(matrices.shape[0]):
         _raise_horizon(matrices[k], rows[k], cols[k], heights[k], z_scale, aim, slopes)
-    for row in range(1, slopes.shape[0]):
-        for column in range(slopes.shape[1]):
-            slopes[row, column] = max(slopes[row, column], slopes[row - 1, column])
 
 
 @kernel

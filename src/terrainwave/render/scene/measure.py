@@ -3,17 +3,15 @@
 import csv
 import io
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.position import Place, place_of
 from terrainwave.place.units import unit_text
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # A profile has a sample per pixel of the raster, up to this number.
 _MOST_SAMPLES = 2048
@@ -64,15 +62,9 @@ class Profile(NamedTuple):
 
 
 class Ruler:
-    """Metres of a terrain's coordinates.
+    """Metres of a terrain's coordinates; `radius` as in `frame_of`."""
 
-    Parameters
-    ----------
-    radius : float, optional
-        Of the body in metres, for degrees, as in `frame_of`.
-    """
-
-    def __init__(self, terrain: "TerrainFile", radius: float | None = None) -> None:
+    def __init__(self, terrain: TerrainFile, radius: float | None = None) -> None:
         raster = terrain.raster_info
         is_placed = tuple(raster.transform) != IDENTITY
         self._place: Place = place_of(
@@ -94,16 +86,8 @@ class Ruler:
         return np.hypot(east, np.radians(lengths[:, 1 - axis]) * radii[:, 0])
 
 
-def read_profile(
-    terrain: "TerrainFile", ruler: Ruler, points: list[tuple[float, float]]
-) -> Profile:
-    """Return the heights of the finest level along two or more points, read now.
-
-    Raises
-    ------
-    TerrainwaveError
-        If they cannot be read.
-    """
+def read_profile(terrain: TerrainFile, ruler: Ruler, points: list[tuple[float, float]]) -> Profile:
+    """Return the heights of the finest level along two or more points, read now."""
     corners = np.array(points, dtype=np.float64)
     n_pixels = np.abs(np.diff(corners, axis=0) / terrain.res).max(axis=1)
     shrink = min(1.0, _MOST_SAMPLES / max(float(n_pixels.sum()), 1.0))
@@ -117,7 +101,7 @@ def read_profile(
     return Profile(places, distances, terrain.sample(places), unit.metres, unit.word)
 
 
-def describe_place(terrain: "TerrainFile", x: float, y: float, height: float) -> str:
+def describe_place(terrain: TerrainFile, x: float, y: float, height: float) -> str:
     """Return coordinates, height and the file's bound as a line."""
     place = f"{x:.10g}, {y:.10g}"
     if math.isnan(height):
@@ -125,7 +109,7 @@ def describe_place(terrain: "TerrainFile", x: float, y: float, height: float) ->
     return f"{place}: {with_bound(height, terrain.effective_error, _unit(terrain))}"
 
 
-def describe_profile(terrain: "TerrainFile", profile: Profile) -> list[str]:
+def describe_profile(terrain: TerrainFile, profile: Profile) -> list[str]:
     lines = [
         f"{distance_text(profile.horizontal)} horizontal,"
         f" {distance_text(profile.along_surface)} along the surface"
@@ -138,7 +122,7 @@ def describe_profile(terrain: "TerrainFile", profile: Profile) -> list[str]:
     return lines
 
 
-def _unit(terrain: "TerrainFile") -> str:
+def _unit(terrain: TerrainFile) -> str:
     return unit_text(terrain.units) if terrain.units else ""
 
 

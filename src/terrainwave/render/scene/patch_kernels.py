@@ -11,17 +11,9 @@ SKIRT_FLAG = 1 << 15
 def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
     """Fill `out`, float64, with heights of a coarser level at vertices, between its samples.
 
-    Parameters
-    ----------
-    rows, cols : ndarray of int32, shape (n,)
-        Of vertices, in half samples of their level from their block's first.
-    heights, mask : ndarray, 2-D
-        Samples of the level above it, from the sample at that position on. Past their sides the
-        last two are continued linearly.
-    first_row, first_col : int
-        Half samples from there to the block's first.
-    fallback : ndarray of float64, shape (n,)
-        Values next to voids.
+    `rows` and `cols` are those of vertices, in half samples from their block's first, which is
+    `first_row` and `first_col` half samples after the first of `heights` and `mask`, the level
+    above. Past their sides the last two are continued linearly. Next to voids `fallback` is used.
     """
     last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
     step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
@@ -42,21 +34,11 @@ def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
 def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
     """Fill `out` with slopes to the east and north and heights for colouring, as float16.
 
-    Parameters
-    ----------
-    heights, mask : ndarray, 2-D
-        Samples around a block.
-    first_row, first_col, n_rows, n_cols : int
-        The part of them that `out` begins with may extend past all sides of it: position (r, c) is
-        sample (first_row + r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from
-        (max(first_row, 0), max(first_col, 0)) on.
-    slopes_of : ndarray of float64, shape (5,)
-        Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row r, 0 below the
-        fifth.
-    colors_of : ndarray of float64, shape (3,)
-        For heights: factor, shift, and largest value.
-    out : ndarray of uint16, shape (m, 3 n)
-        Bits of float16; values below 2⁻¹⁴ become 0.
+    `heights` and `mask` are samples around a block. Position (r, c) of `out` is sample (first_row +
+    r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from (max(first_row, 0),
+    max(first_col, 0)) on. Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row
+    r, 0 below the fifth number of `slopes_of`; `colors_of` are factor, shift and largest value of
+    heights. `out`, uint16 (m, 3 n), has bits of float16; values below 2⁻¹⁴ become 0.
     """
     texels = np.empty(out.shape[1], dtype=np.float32)
     bits = texels.view(np.uint32)
@@ -135,35 +117,3 @@ def _mean_around(heights, mask, row, col, factor, shift):
                 total += float(heights[at]) * factor + shift
                 n += 1
     return total / n if n else 0.0
-
-
-@kernel
-def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
-    """Fill the edges of triangles on a block's border; return the numbers of edges and ends.
-
-    `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
-    `lower` receives, for each vertex, its number among the ends of edges, -1 elsewhere.
-    """
-    n_edges, n_ends = 0, 0
-    for v in range(rows.shape[0]):
-        is_border = rows[v] == 0 or rows[v] == last_row or cols[v] == 0 or cols[v] == last_col
-        lower[v] = -1 if is_border else -2
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            a = triangles[t, k]
-            if lower[a] == -2:
-                continue
-            b = triangles[t, (k + 1) % 3]
-            if lower[b] == -2:
-                continue
-            same_row = rows[a] == rows[b] and (rows[a] == 0 or rows[a] == last_row)
-            same_col = cols[a] == cols[b] and (cols[a] == 0 or cols[a] == last_col)
-            if (same_row or same_col) and n_edges < edges.shape[0]:
-                edges[n_edges, 0] = a
-                edges[n_edges, 1] = b
-                n_edges += 1
-                for end in (a, b):
-                    if lower[end] == -1:
-                        lower[end] = n_ends
-                        n_ends += 1
-    return n_edges, n_ends

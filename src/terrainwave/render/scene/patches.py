@@ -9,26 +9,25 @@ Runs in worker threads.
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.loose import LooseMesher
+from terrainwave.mesh.mesh_data import walls_below
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.horizon import OVERLAP, Floors, floors_of
-from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at, border_edges
+from terrainwave.render.scene.patch_kernels import SKIRT_FLAG, bilinear_at
 from terrainwave.render.scene.scales import FLOAT32_ROUNDING, HeightScale, Texels
 from terrainwave.render.scene.selection import NodeInfo, Piece
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.mesh_surface import surface_at
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
@@ -83,7 +82,7 @@ class PatchBuilder:
 
     def __init__(
         self,
-        terrain: "TerrainFile",
+        terrain: TerrainFile,
         frame: Frame,  # local metres; its exaggeration is not used: the GPU applies it
         *,
         # Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
@@ -100,12 +99,11 @@ class PatchBuilder:
         self._mesher = mesher_of(terrain)
         self._loose = LooseMesher(terrain) if is_loose else None
         self._scale = HeightScale.of(terrain, frame)
+        self._unit = abs(self._scale.per_quantum) / (1 << FRACTION_BITS)  # metres, of tolerances
         self._texels = Texels(frame, self._scale)
         self._meshes: Cache[Piece, BlockMesh] = Cache(
             _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
         )
-
-    # From the index
 
     def roots(self) -> list[NodeInfo]:
         return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
@@ -126,9 +124,11 @@ class PatchBuilder:
         return Piece(*piece.block.parent) if piece.level else None
 
     def _first(self, block: Block, error: float) -> NodeInfo:
-        """Return the first piece of a block below one with this error."""
-        is_finest = block.level == self._terrain.n_levels - 1
-        return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
+        """Return the first piece of a block below one with this error: its coarsest useful one."""
+        variant = 0
+        if block.level == self._terrain.n_levels - 1:
+            variant = self._coarsest(error)
+        return self.info(Piece(*block, variant))
 
     def _coarsest(self, error: float) -> int:
         """Return the coarsest variant that is useful below a piece with this error."""
@@ -140,9 +140,7 @@ class PatchBuilder:
         return variant
 
     def _variant_error(self, variant: int) -> float:
-        tolerance = (
-            self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
-        )
+        tolerance = self._variant_tolerance(variant) * self._unit
         return self._terrain.quanta_error * self._frame.error_metres + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
@@ -171,8 +169,7 @@ class PatchBuilder:
         # For an unmeasured mesh an estimate, until it is built.
         is_viewed = self._is_made_for_views(block)
         tolerance = (self._mesher.view_tolerance if is_viewed else self._mesher.tolerance)(block)
-        metres = tolerance / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
-        return self._heights_error(block) * per_unit + metres
+        return self._heights_error(block) * per_unit + tolerance * self._unit
 
     def _is_unmeasured(self, block: Block) -> bool:
         """Return whether the bound of a block's mesh is only known once it is built."""
@@ -194,8 +191,6 @@ class PatchBuilder:
             return self._terrain.quanta_error
         return self._terrain.block_error(block)
 
-    # Patches
-
     def mesh(self, piece: Piece) -> BlockMesh:
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
@@ -210,15 +205,7 @@ class PatchBuilder:
         return self._mesher.mesh(block)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
-        """Return the patch of a piece.
-
-        Raises
-        ------
-        Cancelled
-            If `is_cancelled` returns True between two steps.
-        CorruptStreamError
-            If the file is damaged there.
-        """
+        """Return the patch of a piece."""
         block = piece.block
         children = self.children(piece)
         go_on(is_cancelled)
@@ -238,7 +225,7 @@ class PatchBuilder:
         morph = float(np.abs(z - z_parent).max(initial=0))
         error = drawn_error = self.error(piece)
         if self._is_unmeasured(block):
-            drawn_error = self._derived_error(block, mesh)
+            drawn_error = self._mesher.derived_error(block, mesh) * self._unit
             if self._loose is None:
                 error = drawn_error
         rounding = largest * FLOAT32_ROUNDING
@@ -254,11 +241,6 @@ class PatchBuilder:
             children,
             self.floors(block, drawn_error + rounding),
         )
-
-    def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
-        """Return a bound for a mesh without a stated error, metres."""
-        error = self._mesher.derived_error(block, mesh) / (1 << FRACTION_BITS)
-        return error * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
@@ -315,13 +297,7 @@ class PatchBuilder:
         quanta, mask = self._terrain.decoder.window(block.level, wide)
         below = error + self._heights_error(block) * frame.error_metres
         heights = np.where(mask, self._scale.metres(quanta) - below, -np.inf)
-        a, b, c, d, e, f = frame.sample_matrix
-        stride = grid.stride(block.level)
-        row, col = wide.row * stride, wide.col * stride
-        matrix = np.array([
-            a * stride, b * stride, a * col + b * row + c,
-            d * stride, e * stride, d * col + e * row + f,
-        ])  # fmt: skip
+        matrix = np.array(frame.matrix_of(wide, grid.stride(block.level)))
         cells = inner.n_rows - 1, inner.n_cols - 1
         return floors_of(heights, matrix, cells, (inner.row - wide.row, inner.col - wide.col))
 
@@ -350,21 +326,16 @@ def _with_skirts(
     triangles = mesh.triangles.astype(np.uint32)
     if not len(triangles):
         return vertices, triangles
-    last = int(mesh.rows.max()), int(mesh.cols.max())
-    edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
-    lower = np.empty(len(mesh.rows), dtype=np.int32)
-    n_edges, n_ends = border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, lower, edges)
-    edges = edges[:n_edges]
-    ends = np.flatnonzero(lower >= 0)
-    below = np.empty(n_ends, dtype=VERTEX)
-    below[lower[ends]] = vertices[ends]
+    starts, ends = mesh.triangles.ravel(), mesh.triangles[:, [1, 2, 0]].ravel()
+    is_border = np.zeros(len(starts), dtype=np.bool_)
+    for places in (mesh.rows, mesh.cols):
+        line = places[starts]
+        is_border |= (line == places[ends]) & ((line == 0) | (line == places.max()))
+    edges = np.column_stack([starts, ends])[is_border]
+    is_top = np.zeros(len(vertices), dtype=np.bool_)
+    is_top[edges] = True
+    below = vertices[is_top]
     below["col"] |= SKIRT_FLAG
-    below_edges = (len(vertices) + lower[edges]).astype(np.uint32)
-    a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
-    skirts = np.concatenate(
-        [
-            np.column_stack([b, a, below_edges[:, 0]]),
-            np.column_stack([b, below_edges[:, 0], below_edges[:, 1]]),
-        ]
-    )
+    lower = len(vertices) - 1 + np.cumsum(is_top)[edges]
+    skirts = walls_below(*edges.T, *lower.T).astype(np.uint32)
     return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])

@@ -1,16 +1,14 @@
 """Conversion of a file's quanta to metres of a frame, and to slopes and heights in textures."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.patch_kernels import fill_texels
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # Half of float32's spacing, relative.
 FLOAT32_ROUNDING = 2.0**-24
@@ -26,7 +24,7 @@ class HeightScale:
     zero: float  # metres of quantum 0
 
     @classmethod
-    def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
+    def of(cls, terrain: TerrainFile, frame: Frame) -> Self:
         header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
         return cls(
@@ -60,12 +58,7 @@ class HeightTexels:
 class Texels:
     """Slopes and heights of samples as stored in textures. Thread-safe.
 
-    Parameters
-    ----------
-    frame : Frame
-        Its east and north are the directions of slopes.
-    scale : HeightScale
-        Of the samples.
+    The frame's east and north are the directions of slopes.
     """
 
     def __init__(self, frame: Frame, scale: HeightScale) -> None:
@@ -86,12 +79,9 @@ class Texels:
         shape: tuple[int, int],  # of the texture
         stride: int,  # samples of the full grid between two
     ) -> NDArray[np.float16]:
-        """Return a texture of a part of samples.
+        """Return a texture of a part of samples, float16 (n_rows, n_cols, 3).
 
-        Returns
-        -------
-        ndarray of float16, shape (n_rows, n_cols, 3)
-            Metres per metre to the east and to the north, and heights (`HeightTexels`).
+        Metres per metre to the east and to the north, and heights (`HeightTexels`).
         """
         texels = np.empty((shape[0], 3 * shape[1]), dtype=np.uint16)
         slopes_of = np.array([*self._slopes / stride, _LEAST_SLOPE])

@@ -1,15 +1,16 @@
-"""Kernels of selection: visibility of nodes, and their errors on screen."""
+"""Kernels of selection: visibility of nodes, and their errors on screen.
+
+A box is two corners: the lowest and the highest x, y and z.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.borrowed import borrowed
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.render.scene.horizon import is_below
-
-# Rows of a frustum: inward planes (x, y, z, w), a point is inside if x·p + w >= 0.
-N_PLANES = 5
 
 
 class NodeArrays(NamedTuple):
@@ -36,51 +37,59 @@ class Sight(NamedTuple):
     aim: NDArray[np.float64]
 
 
+@inlined_kernel
+def _box_of(node, nodes, z_scale, spread):
+    """Return a node's box with heights times `z_scale`, higher and lower by `spread`."""
+    low, high = nodes.low, nodes.high
+    return (
+        (low[node, 0], low[node, 1], low[node, 2] * z_scale - spread),
+        (high[node, 0], high[node, 1], high[node, 2] * z_scale + spread),
+    )
+
+
 @kernel
-def is_outside(planes, low_x, low_y, low_z, high_x, high_y, high_z):
-    """Return whether a box lies wholly behind one of the planes (false also for some outside)."""
+def is_outside(planes, low, high):
+    """Return whether a box lies wholly behind one of the planes (false also for some outside).
+
+    A plane is (x, y, z, w), inwards: a point is inside if x·p + w >= 0.
+    """
     for k in range(planes.shape[0]):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
         # The corner that lies furthest along the plane's normal.
-        most = x * (high_x if x > 0 else low_x)
-        most += y * (high_y if y > 0 else low_y)
-        most += z * (high_z if z > 0 else low_z)
+        most = x * (high[0] if x > 0 else low[0])
+        most += y * (high[1] if y > 0 else low[1])
+        most += z * (high[2] if z > 0 else low[2])
         if most + planes[k, 3] < 0:
             return True
     return False
 
 
-@kernel
-def _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
-    x = max(low_x - eye[0], 0.0, eye[0] - high_x)
-    y = max(low_y - eye[1], 0.0, eye[1] - high_y)
-    z = max(low_z - eye[2], 0.0, eye[2] - high_z)
+@inlined_kernel
+def _away(eye, low, high):
+    """Return the least distance of a box from the eye along each axis."""
+    return (
+        max(low[0] - eye[0], 0.0, eye[0] - high[0]),
+        max(low[1] - eye[1], 0.0, eye[1] - high[1]),
+        max(low[2] - eye[2], 0.0, eye[2] - high[2]),
+    )
+
+
+@inlined_kernel
+def _distance(eye, low, high):
+    x, y, z = _away(eye, low, high)
     return np.sqrt(x * x + y * y + z * z)
 
 
-@kernel
-def _is_hidden(node, low, high, z_scale, planes, slopes, aim):
-    if is_outside(
-        planes, low[node, 0], low[node, 1], low[node, 2] * z_scale,
-        high[node, 0], high[node, 1], high[node, 2] * z_scale,
-    ):  # fmt: skip
-        return True
-    return is_below(
-        slopes, aim, low[node, 0], low[node, 1], high[node, 0], high[node, 1],
-        high[node, 2] * z_scale,
-    )  # fmt: skip
+@inlined_kernel
+def _is_hidden(node, nodes, sight):
+    low, high = _box_of(node, nodes, sight.z_scale, 0.0)
+    return is_outside(sight.planes, low, high) or is_below(
+        sight.slopes, sight.aim, low[0], low[1], high[0], high[1], high[2]
+    )
 
 
 @kernel
-def _node_distance(node, low, high, z_scale, eye):
-    return _distance(
-        eye, low[node, 0], low[node, 1], low[node, 2] * z_scale,
-        high[node, 0], high[node, 1], high[node, 2] * z_scale,
-    )  # fmt: skip
-
-
-@kernel
-def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
+def oriented_distance(eye, low, high):
     """Return an effective distance of a box for vertical steps in it.
 
     Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
@@ -88,11 +97,9 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     over the box, v its least vertical distance: it grows up to h = v, then falls. It is never more
     than 1 / the distance to the box, and 0 straight below or above.
     """
-    x = max(low_x - eye[0], 0.0, eye[0] - high_x)
-    y = max(low_y - eye[1], 0.0, eye[1] - high_y)
-    v = max(low_z - eye[2], 0.0, eye[2] - high_z)
-    far_x = max(abs(low_x - eye[0]), abs(high_x - eye[0]))
-    far_y = max(abs(low_y - eye[1]), abs(high_y - eye[1]))
+    x, y, v = _away(eye, low, high)
+    far_x = max(abs(low[0] - eye[0]), abs(high[0] - eye[0]))
+    far_y = max(abs(low[1] - eye[1]), abs(high[1] - eye[1]))
     h = min(max(v, np.sqrt(x * x + y * y)), np.sqrt(far_x * far_x + far_y * far_y))
     if h > 0:
         return h + v * (v / h)
@@ -107,7 +114,7 @@ LEAST_SCALE = 1e-12
 
 
 @kernel
-def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_oriented):
+def pixels_per_metre(eye, low, high, lens, is_oriented):
     """Return a bound of pixels on screen per metre of vertical steps in a box.
 
     Let p be a point and q = p + s ẑ, |s| <= e, both in the box and in the picture, relative to the
@@ -127,18 +134,15 @@ def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_
 
     If the lens has S = 1, it is the lens's γ over the distance.
     """
-    distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
-    if is_oriented:
-        oriented = oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
-    else:
-        oriented = distance
+    distance = _distance(eye, low, high)
+    oriented = oriented_distance(eye, low, high) if is_oriented else distance
     if oriented <= 0:
         return np.inf
     if lens[LENS_SLANT] <= 1.0:
         return lens[LENS_SCALE] / oriented
-    x, y = (low_x + high_x) / 2 - eye[0], (low_y + high_y) / 2 - eye[1]
-    z = (low_z + high_z) / 2 - eye[2]
-    half_x, half_y, half_z = (high_x - low_x) / 2, (high_y - low_y) / 2, (high_z - low_z) / 2
+    x, y = (low[0] + high[0]) / 2 - eye[0], (low[1] + high[1]) / 2 - eye[1]
+    z = (low[2] + high[2]) / 2 - eye[2]
+    half_x, half_y, half_z = (high[0] - low[0]) / 2, (high[1] - low[1]) / 2, (high[2] - low[2]) / 2
     depth = x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]
     depth -= half_x * abs(lens[LENS_X]) + half_y * abs(lens[LENS_Y]) + half_z * abs(lens[LENS_Z])
     rise = lens[LENS_RISE]
@@ -167,63 +171,61 @@ def _largest_rise(x, y, z, half_x, half_y, half_z, lens):
     return largest
 
 
-@kernel
-def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
+@inlined_kernel
+def _scale_of(node, nodes, sight, spread):
     """Return pixels on screen per metre of a node's vertical error; inf if the eye is in it."""
-    return pixels_per_metre(
-        eye, low[node, 0], low[node, 1], low[node, 2] * z_scale,
-        high[node, 0], high[node, 1], high[node, 2] * z_scale, lens, is_oriented,
-    )  # fmt: skip
+    low, high = _box_of(node, nodes, sight.z_scale, spread)
+    return pixels_per_metre(sight.eye, low, high, sight.lens, sight.is_oriented)
 
 
 @kernel
 def node_scales(asked, nodes, sight, out):
-    """Fill `out` with the `node_scale` of each node of `asked`."""
-    low, high, z_scale, eye = nodes.low, nodes.high, sight.z_scale, sight.eye
-    lens, is_oriented = sight.lens, sight.is_oriented
+    """Fill `out` with pixels on screen per metre of each node of `asked`."""
+    nodes, sight = borrowed(nodes), borrowed(sight)
     for k in range(asked.shape[0]):
-        out[k] = node_scale(asked[k], low, high, z_scale, eye, lens, is_oriented)
+        out[k] = _scale_of(asked[k], nodes, sight, 0.0)
 
 
-@kernel
-def _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented):
+@inlined_kernel
+def _screen_error(node, nodes, sight):
     """Return a bound of a node's error on screen, pixels; inf if the eye is in its box."""
-    error = errors[node] * z_scale
-    if error <= 0:
-        return 0.0
-    return error * node_scale(node, low, high, z_scale, eye, lens, is_oriented)
+    error = nodes.errors[node] * sight.z_scale
+    return error * _scale_of(node, nodes, sight, 0.0) if error > 0 else 0.0
 
 
-# Fields of `View.tolerance`: τ; the tolerance for sufficiently dense samples, both pixels; pixels
+# Fields of `Sight.tolerance`: τ; the tolerance for sufficiently dense samples, both pixels; pixels
 # per unit of tangent.
 TOLERANCE_TAU, TOLERANCE_DENSE, TOLERANCE_LENGTH = range(3)
 
 
+@inlined_kernel
+def _node_distance(node, nodes, sight):
+    low, high = _box_of(node, nodes, sight.z_scale, 0.0)
+    return _distance(sight.eye, low, high)
+
+
 @kernel
-def is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance):
+def is_fine(node, nodes, sight):
     """Return whether a node need not be split: its error is within τ on screen.
 
     Or within the second tolerance, if its samples, seen squarely from the nearest point of its box,
     are no further apart than pixels.
     """
-    error = _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented)
-    if error <= tolerance[TOLERANCE_TAU]:
+    error = _screen_error(node, nodes, sight)
+    if error <= sight.tolerance[TOLERANCE_TAU]:
         return True
-    if error > tolerance[TOLERANCE_DENSE]:
+    if error > sight.tolerance[TOLERANCE_DENSE]:
         return False
-    pixels = spacings[node] * tolerance[TOLERANCE_LENGTH]
-    return pixels <= _node_distance(node, low, high, z_scale, eye)
+    pixels = nodes.spacings[node] * sight.tolerance[TOLERANCE_LENGTH]
+    return pixels <= _node_distance(node, nodes, sight)
 
 
 @kernel
 def fine_nodes(asked, nodes, sight, out):
     """Fill `out` with whether each node of `asked` need not be split (`is_fine`)."""
-    low, high, errors, spacings, _, _ = nodes
-    _, eye, z_scale, lens, is_oriented, tolerance, _, _ = sight
+    nodes, sight = borrowed(nodes), borrowed(sight)
     for k in range(asked.shape[0]):
-        out[k] = is_fine(
-            asked[k], low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance
-        )
+        out[k] = is_fine(asked[k], nodes, sight)
 
 
 @kernel
@@ -234,8 +236,7 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
     it is drawn instead of them. `stack`, `out_nodes` and `out_distances` have as many entries as
     there are nodes.
     """
-    low, high, errors, spacings, children, is_known = nodes
-    planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
+    nodes, sight = borrowed(nodes), borrowed(sight)
     n_out, total, top = 0, 0, 0
     for root in roots[::-1]:
         stack[top] = root
@@ -243,20 +244,18 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
     while top > 0:
         top -= 1
         node = stack[top]
-        if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes, slopes, aim):
+        if not is_resident[node] or _is_hidden(node, nodes, sight):
             continue
         first = top
-        is_split = is_known[node] and not is_fine(
-            node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance
-        )
+        is_split = nodes.is_known[node] and not is_fine(node, nodes, sight)
         if is_split:
             has_children = False
             for k in range(4):
-                child = children[node, k]
+                child = nodes.children[node, k]
                 if child < 0:
                     continue
                 has_children = True
-                if _is_hidden(child, low, high, z_scale, planes, slopes, aim):
+                if _is_hidden(child, nodes, sight):
                     continue
                 if not is_resident[child]:
                     is_split = False
@@ -267,7 +266,7 @@ def select_nodes(roots, nodes, is_resident, n_triangles, sight, stack, out_nodes
         if not is_split:
             top = first
             out_nodes[n_out] = node
-            out_distances[n_out] = _node_distance(node, low, high, z_scale, eye)
+            out_distances[n_out] = _node_distance(node, nodes, sight)
             n_out += 1
             total += n_triangles[node]
     return n_out, total
@@ -281,27 +280,22 @@ def wanted_nodes(roots, nodes, sight, out_nodes):
     `out_nodes` is full. Unlike there, children of a sufficiently fine parent are left out; τ < 0
     includes them all.
     """
-    low, high, errors, spacings, children, is_known = nodes
-    planes, eye, z_scale, lens, is_oriented, tolerance, slopes, aim = sight
+    nodes, sight = borrowed(nodes), borrowed(sight)
     n_out, done = 0, 0
     for root in roots:
-        if n_out < out_nodes.shape[0] and not _is_hidden(
-            root, low, high, z_scale, planes, slopes, aim
-        ):
+        if n_out < out_nodes.shape[0] and not _is_hidden(root, nodes, sight):
             out_nodes[n_out] = root
             n_out += 1
     while done < n_out:
         node = out_nodes[done]
         done += 1
-        if not is_known[node]:
-            continue
-        if is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance):
+        if not nodes.is_known[node] or is_fine(node, nodes, sight):
             continue
         for k in range(4):
-            child = children[node, k]
+            child = nodes.children[node, k]
             if child < 0 or n_out == out_nodes.shape[0]:
                 continue
-            if not _is_hidden(child, low, high, z_scale, planes, slopes, aim):
+            if not _is_hidden(child, nodes, sight):
                 out_nodes[n_out] = child
                 n_out += 1
     return n_out
@@ -315,33 +309,15 @@ def bounded_errors(drawn, nodes, morphs, parents, sight, start, end, out):
     it is `start`. It is limited so that the drawn error, a block's own plus share · distance to the
     parent's surface, is within `end`; that surface may lie outside of the box.
     """
-    low, high, errors, _, _, _ = nodes
-    _, eye, z_scale, lens, is_oriented, _, _, _ = sight
+    nodes, sight = borrowed(nodes), borrowed(sight)
     for k in range(drawn.shape[0]):
         node = drawn[k]
-        own, spread = errors[node] * z_scale, morphs[node] * z_scale
-        scale = pixels_per_metre(
-            eye, low[node, 0], low[node, 1], low[node, 2] * z_scale - spread,
-            high[node, 0], high[node, 1], high[node, 2] * z_scale + spread, lens, is_oriented,
-        )  # fmt: skip
-        allowed = end / max(scale, LEAST_SCALE)
+        own, spread = nodes.errors[node] * sight.z_scale, morphs[node] * sight.z_scale
+        allowed = end / max(_scale_of(node, nodes, sight, spread), LEAST_SCALE)
         share, parent = 0.0, parents[node]
         if parent >= 0 and end > start:
-            above = _screen_error(parent, low, high, errors, z_scale, eye, lens, is_oriented)
+            above = _screen_error(parent, nodes, sight)
             share = min(max((end - above) / (end - start), 0.0), 1.0)
             if spread > 0:
                 share = min(share, max(allowed - own, 0.0) / spread)
         out[k, 0], out[k, 1], out[k, 2] = share, own + share * spread, allowed
-
-
-@kernel
-def priorities(asked, nodes, sight, forward, out):
-    """Fill w = u·V / d of each node: u and d towards its centre (Zhang et al. 2012, eq. 13)."""
-    low, high, eye, z_scale = nodes.low, nodes.high, sight.eye, sight.z_scale
-    for k in range(asked.shape[0]):
-        node = asked[k]
-        x = (low[node, 0] + high[node, 0]) / 2 - eye[0]
-        y = (low[node, 1] + high[node, 1]) / 2 - eye[1]
-        z = (low[node, 2] + high[node, 2]) / 2 * z_scale - eye[2]
-        square = max(x * x + y * y + z * z, 1e-12)
-        out[k] = (x * forward[0] + y * forward[1] + z * forward[2]) / square

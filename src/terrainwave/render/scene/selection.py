@@ -23,7 +23,6 @@ from terrainwave.render.scene.select_kernels import (
     bounded_errors,
     fine_nodes,
     node_scales,
-    priorities,
     select_nodes,
     wanted_nodes,
 )
@@ -62,31 +61,20 @@ class NodeInfo(NamedTuple):
 
 
 class Built(Protocol):
-    """Result of `Mode.build`; the mode's store knows its other contents."""
+    """Result of `Mode.build`; the mode's store knows its other contents. Lengths in metres."""
 
     @property
-    def children(self) -> list[NodeInfo]:
-        """Return the piece's children; read in the worker, so that drawing never reads."""
-
+    def children(self) -> list[NodeInfo]: ...  # read in the worker, so that drawing never reads
     @property
-    def n_triangles(self) -> int:
-        """Return the number of drawn triangles."""
-
+    def n_triangles(self) -> int: ...
     @property
-    def base(self) -> float:
-        """Return the height of its z = 0, metres."""
-
+    def base(self) -> float: ...  # the height of its z = 0
     @property
-    def error(self) -> float:
-        """Return a guaranteed bound for its surface, metres."""
-
+    def error(self) -> float: ...  # a guaranteed bound for its surface
     @property
-    def morph(self) -> float:
-        """Return the largest distance between its surface and its parent's, metres."""
-
+    def morph(self) -> float: ...  # largest distance between its surface and its parent's
     @property
-    def floors(self) -> Floors | None:
-        """Return lower limits of its surface; None if it must not hide others."""
+    def floors(self) -> Floors | None: ...  # lower limits; None if it must not hide others
 
 
 @dataclass(frozen=True)
@@ -138,17 +126,13 @@ class View:
         rise = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
         return np.array([scale, slant(self.camera, self.viewport) ** 2, rise, *forward])
 
-    def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
-        """Return the argument of `select_kernels.is_fine`, for another τ than the view's."""
-        tau = self.max_pixel_error if tau is None else tau
-        length = focal_length(self.camera, self.viewport)
-        return np.array([tau, tau * self.flatness, length])
-
     def sight(self, tau: float | None = None) -> Sight:
         """Return the argument of kernels, for another τ than the view's."""
+        tau = self.max_pixel_error if tau is None else tau
+        length = focal_length(self.camera, self.viewport)
         return Sight(
             self.planes, self.camera.eye, self.exaggeration, self.lens, self.is_oriented,
-            self.tolerance(tau), *self.horizon,
+            np.array([tau, tau * self.flatness, length]), *self.horizon,
         )  # fmt: skip
 
     @cached_property
@@ -261,12 +245,8 @@ class NodeTable:
     def forget_children(self, used: Sequence[NDArray[np.int32]]) -> None:
         """Remove pieces below those that are not in the store, except needed ones.
 
-        Building such a piece lists its children again. Numbers of removed pieces are reused.
-
-        Parameters
-        ----------
-        used : sequence of ndarray of int32
-            Nodes to keep, with all above them and their siblings.
+        Nodes of `used` stay, with all above them and their siblings. Building a piece lists its
+        children again. Numbers of removed pieces are reused.
         """
         n = len(self)
         parents, is_resident = self.parents[:n], self.is_resident[:n]
@@ -390,8 +370,6 @@ class NodeTable:
 
         Parents replace children that are not resident.
         """
-        if len(self._stack) < len(self.errors):
-            raise AssertionError("the stack holds every node")
         n_out, n_triangles = select_nodes(
             self.roots, self._arrays(), self.is_resident, self.n_triangles, view.sight(tau),
             self._stack, self._nodes, self._distances,
@@ -431,27 +409,24 @@ class NodeTable:
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.
 
-        Those without resident children that are not in `keep`, by w = u·V / d.
+        Those without resident children that are not in `keep`, by w = u·V / d, u and d towards
+        their centres (Zhang et al. 2012, eq. 13).
         """
         n = len(self)
         inner = np.zeros(n, dtype=np.bool_)
         parents = self.parents[:n][self.is_resident[:n]]
         inner[parents[parents >= 0]] = True
         nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
-        ranks = np.empty(len(nodes))
-        priorities(nodes, self._arrays(), view.sight(), view.camera.forward, ranks)
+        low, high = self.boxes(nodes, view.exaggeration)
+        away = (low + high) / 2 - view.camera.eye
+        ranks = away @ view.camera.forward / np.maximum((away * away).sum(axis=1), 1e-12)
         return nodes[np.argsort(ranks, kind="stable")]
 
 
 class ErrorGovernor:
     """Raises τ if triangles or time would exceed their limits, and lowers it again.
 
-    Parameters
-    ----------
-    max_triangles : int
-        Budget per frame.
-    target_ms : float, optional
-        Time per frame; None: unlimited.
+    `max_triangles` and `target_ms`, None if unlimited, are those of a frame.
     """
 
     _LARGEST = 64.0

@@ -6,16 +6,14 @@ a hatch and not as the sky below it. None of them is data: they never write wher
 `Canvas.is_blank` read.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.file import TerrainFile
 from terrainwave.read.resample import fill_voids
 from terrainwave.render.scene.frame import Frame
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 # Kinds of vertices; the shader's numbers.
 TOP, BASE, FLOOR, LID = 0.0, 1.0, 2.0, 3.0
@@ -55,14 +53,8 @@ class _Overview(NamedTuple):
     is_full: bool  # it is the full grid
 
 
-def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
-    """Return the solid of a terrain; reads one level of at most 641 samples a side, and a border.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the coarsest level is damaged.
-    """
+def build_solid(terrain: TerrainFile, frame: Frame) -> Solid:
+    """Return the solid of a terrain; reads a level of at most 641 samples a side, and a border."""
     has_voids = terrain.info().voids != "none"
     overview = _read_overview(terrain, frame) if has_voids else None
     parts = [_floor(terrain.shape), *_walls(terrain, frame, overview)]
@@ -80,7 +72,7 @@ def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
 _Faces = tuple[NDArray[np.void], NDArray[np.int64]]
 
 
-def level_within(terrain: "TerrainFile", side: int) -> int:
+def level_within(terrain: TerrainFile, side: int) -> int:
     """Return the finest level with at most `side` samples per side, or the coarsest."""
     level = terrain.n_levels - 1
     while level and max(terrain.grid.level_shape(level)) > side:
@@ -89,7 +81,7 @@ def level_within(terrain: "TerrainFile", side: int) -> int:
 
 
 def read_metres(
-    terrain: "TerrainFile", frame: Frame, window: tuple[int, int, int, int] | None, level: int
+    terrain: TerrainFile, frame: Frame, window: tuple[int, int, int, int] | None, level: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return heights in metres, 0 in voids, and validity."""
     raw, valid = terrain.read_with_mask(window, level=level, on_error="mask", voids="any")
@@ -98,7 +90,7 @@ def read_metres(
     return np.where(valid, metres, 0.0), valid
 
 
-def _places(terrain: "TerrainFile", level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _places(terrain: TerrainFile, level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return rows and columns of a level's samples, and finally those of the full grid's border."""
     stride = terrain.grid.stride(level)
     n_rows, n_cols = terrain.shape
@@ -110,7 +102,7 @@ def _along_axis(n_full: int, stride: int) -> NDArray[np.float64]:
     return places if places[-1] == n_full - 1 else np.append(places, n_full - 1.0)
 
 
-def _read_overview(terrain: "TerrainFile", frame: Frame) -> _Overview:
+def _read_overview(terrain: TerrainFile, frame: Frame) -> _Overview:
     level = level_within(terrain, _LID_SIDE)
     heights, valid = read_metres(terrain, frame, None, level)
     rows, cols = _places(terrain, level)
@@ -136,7 +128,7 @@ def _floor(shape: tuple[int, int]) -> _Faces:
     return _vertices(cols, rows, 0.0, FLOOR), np.array([[0, 1, 2], [0, 2, 3]])
 
 
-def _walls(terrain: "TerrainFile", frame: Frame, overview: _Overview | None) -> list[_Faces]:
+def _walls(terrain: TerrainFile, frame: Frame, overview: _Overview | None) -> list[_Faces]:
     """Return the walls on the four sides."""
     level = level_within(terrain, _WALL_SIDE)
     n_rows, n_cols = terrain.grid.level_shape(level)
@@ -208,9 +200,6 @@ def _lid(overview: _Overview) -> _Faces:
     vertices = _vertices(overview.cols[cols], overview.rows[rows], overview.heights.ravel()[used],
                          LID)  # fmt: skip
     return vertices, triangles.reshape(-1, 3)
-
-
-# Position and distance
 
 
 def distance_to_walls(frame: Frame, eye: NDArray[np.float64]) -> float:

@@ -18,27 +18,16 @@ _NAMING = threading.Lock()
 
 
 def save_as_new(data: bytes, stem: str, ending: str, folder: str | os.PathLike[str] = ".") -> str:
-    """Write a file ``stem-date-time.ending``, numbered if it exists; return its name.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be written.
-    """
-    with _NAMING:
-        return _save(data, stem, ending, Path(folder))
-
-
-def _save(data: bytes, stem: str, ending: str, folder: Path) -> str:
+    """Write a file ``stem-date-time.ending``, numbered if it exists; return its name."""
     first = f"{stem}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for number in range(1, _ATTEMPTS):
-        name = f"{first}{'' if number == 1 else f'-{number}'}{ending}"
-        path = folder / name
-        if os.path.lexists(path):
-            continue
-        with publish(path) as part:
-            part.file.write(data)
-        return name
+    with _NAMING:
+        for number in range(1, _ATTEMPTS):
+            name = f"{first}{'' if number == 1 else f'-{number}'}{ending}"
+            path = Path(folder) / name
+            if not os.path.lexists(path):
+                with publish(path) as part:
+                    part.file.write(data)
+                return name
     raise StorageError(f"{first}{ending}: all numbers up to {_ATTEMPTS} are taken")
 
 
@@ -47,20 +36,16 @@ class FlightRecorder:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self._seconds = 0.0
+        self.seconds = 0.0
         self._since_key = _KEY_SECONDS
 
     def tick(self, seconds: float, camera_line: str) -> None:
         """Add the time since the last frame and the camera's position."""
-        self._seconds += seconds
+        self.seconds += seconds
         self._since_key += seconds
         if self._since_key >= _KEY_SECONDS and len(self.lines) < _MOST_KEYS:
             self._since_key = min(self._since_key - _KEY_SECONDS, _KEY_SECONDS)
             self.lines.append(camera_line)
-
-    @property
-    def seconds(self) -> float:
-        return self._seconds
 
     def to_json(self) -> str:
         """Return the input of ``terrainwave render --flight``."""

@@ -3,15 +3,12 @@
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
+from terrainwave.file import TerrainFile
 from terrainwave.render.paging.background import Background, Outcome
 from terrainwave.render.scene.camera import Camera
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.selection import NodeTable
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
 
 _SECONDS = 0.2  # between two reads of the ground
 
@@ -37,7 +34,7 @@ class Ground:
 
     def __init__(
         self,
-        terrain: "TerrainFile",
+        terrain: TerrainFile,
         # of blocks: the ground is that of the drawn level, which needs almost no decoding or
         # fetching. By default it is that of the finest level.
         table: NodeTable | None,

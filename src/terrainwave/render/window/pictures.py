@@ -5,15 +5,17 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from decimal import ROUND_CEILING, Context
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.marks import draw_marks, legend_of
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes.mode import NO_PROMISE, Frames
 from terrainwave.render.paging.scene import Scene
 from terrainwave.render.scene.camera import (
@@ -27,10 +29,6 @@ from terrainwave.render.scene.camera import (
 )
 from terrainwave.render.scene.frame import Frame
 from terrainwave.render.scene.walls import read_metres
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.look.style import Style
 
 _MAX_KEYS = 100_000
 _FLIGHT = 'a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
@@ -52,13 +50,7 @@ def choose_camera(
     camera: str | None = None,
     area: ShownArea | None = None,
 ) -> Camera:
-    """Return the camera of a line, or one that shows an area or everything.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the line is invalid, or both are given.
-    """
+    """Return the camera of a line, or one that shows an area or everything."""
     if camera is not None:
         if area is not None:
             raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
@@ -72,16 +64,8 @@ def choose_camera(
     return home((low, high), viewport)
 
 
-def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
-    """Return the area within bounds; its physical heights are approximate, from an overview.
-
-    Raises
-    ------
-    InvalidArgumentError
-        If the bounds are empty.
-    InvalidHeightsError
-        If they miss the raster, or all within them is void.
-    """
+def area_within(terrain: TerrainFile, bounds: Sequence[float]) -> ShownArea:
+    """Return the area within bounds; its physical heights are approximate, from an overview."""
     left, bottom, right, top = bounds
     if not (left < right and bottom < top):
         raise InvalidArgumentError(
@@ -102,13 +86,7 @@ def area_within(terrain: "TerrainFile", bounds: Sequence[float]) -> ShownArea:
 
 
 def read_flight(text: str, frame: Frame) -> list[Camera]:
-    """Return the cameras of a flight: a JSON list of camera lines.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If it is malformed.
-    """
+    """Return the cameras of a flight: a JSON list of camera lines."""
     try:
         keys = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -128,7 +106,7 @@ def fly_through(
     canvas: Canvas,
     cameras: list[Camera],
     n_frames: int,
-    style: "Style",
+    style: Style,
     max_pixel_error: float,
     *,
     legend: bool = False,
@@ -138,11 +116,6 @@ def fly_through(
     """Yield pictures along a flight, with the `statistics` of each.
 
     `measure` adds `distance_on_screen`.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a single picture shows nothing.
     """
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
@@ -166,18 +139,12 @@ def with_marks(
     canvas: Canvas,
     image: NDArray[np.uint8],
     frames: Frames,
-    style: "Style",
+    style: Style,
     *,
     legend: bool,
     scale_bar: bool,
 ) -> NDArray[np.uint8]:
-    """Return the last picture with a legend, and a scale bar for its middle.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If a scale bar is requested, and the camera looks away from the terrain.
-    """
+    """Return the last picture with a legend, and a scale bar for its middle."""
     scene, scale = canvas.scene, None
     if scale_bar:
         scale = canvas.metres_per_pixel()
@@ -197,7 +164,7 @@ def with_marks(
     return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
-def distance_on_screen(canvas: Canvas, style: "Style") -> float:
+def distance_on_screen(canvas: Canvas, style: Style) -> float:
     """Return the distance of the last picture's surface from the decoded heights, pixels.
 
     At every valid sample of the full grid in view, as the camera sees it: between samples nothing
@@ -212,7 +179,7 @@ def distance_on_screen(canvas: Canvas, style: "Style") -> float:
     return largest
 
 
-def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
+def _distance_within(canvas: Canvas, style: Style, region: Region) -> float:
     """Return `distance_on_screen` of a part of the full grid."""
     frame, camera, viewport = canvas.scene.frame, canvas.camera, canvas.viewport
     heights, valid = read_metres(canvas.scene.terrain, frame, region, -1)
@@ -231,15 +198,7 @@ def _distance_within(canvas: Canvas, style: "Style", region: Region) -> float:
 
 
 def caption(scene: Scene, tau: float, kept: float) -> str:
-    """Return a picture's error bound, in words.
-
-    Parameters
-    ----------
-    tau : float
-        `Frames.tau`, pixels, or the requested one if that is more.
-    kept : float
-        `Scene.kept_error`, pixels.
-    """
+    """Return the bound of a picture with `Frames.tau`, at least the requested one, in words."""
     if not scene.mode.is_bound:
         return f"no limit with error {scene.mode.error}"
     if not scene.mode.has_limit:

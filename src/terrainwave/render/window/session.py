@@ -96,8 +96,6 @@ class Session:
                 self._points = self._points[:-1]
                 self._measure()
 
-    # Clicks
-
     def click(self, point: NDArray[np.float64] | None) -> None:
         """Handle a click on a point of the surface, local metres; None: on the sky."""
         if point is None:
@@ -148,8 +146,6 @@ class Session:
         heights = np.full(len(self._points), np.mean(frame.heights))
         return frame.to_local(np.column_stack([np.array(self._points), heights]))
 
-    # Captures
-
     def _save(self, stem: str, ending: str, data: Callable[[], bytes]) -> None:
         def show(outcome: Outcome) -> None:
             line = outcome.problem or f"saved {outcome.value}"
@@ -187,8 +183,6 @@ class Session:
             return
         table = self.profile.csv().encode()
         self._save("profile", ".csv", lambda: table)
-
-    # Messages
 
     def note(self, line: str) -> None:
         self._notes.append((time.monotonic() + _NOTE_SECONDS, line))

@@ -5,7 +5,7 @@ import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,12 @@ from terrainwave.container.targets.publication import publish
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need, with_extra
+from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.place.bodies import EARTH
 from terrainwave.place.position import axis_labels
+from terrainwave.render.look.style import Style
 from terrainwave.render.scene.frame import check_drawable, frame_of
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.look.style import Style
 
 # Samples along the longer side of a map: more than a figure has pixels.
 _MAP_SIDE = 1200
@@ -30,13 +28,9 @@ _MAP_SIDE = 1200
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture for notebooks.
+    """A picture for notebooks: uint8 (height, width, 3).
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8, shape (height, width, 3)
-    camera : str
-        The line for ``camera=`` and ``--camera`` that gives this view.
+    `camera` is the line for ``camera=`` and ``--camera`` that gives this view.
     """
 
     pixels: NDArray[np.uint8]
@@ -48,21 +42,13 @@ class Picture:
         return encode_png(self.pixels)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the picture as PNG; the name must end in ``.png``.
-
-        Raises
-        ------
-        InvalidArgumentError
-            If it does not.
-        StorageError
-            If it cannot be written, or exists already.
-        """
+        """Write the picture as PNG; the name must end in ``.png``."""
         check_ending(path, PICTURE_ENDINGS)
         with publish(Path(path), overwrite) as part:
             part.file.write(self._repr_png_())
 
 
-def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bounds: Any) -> Any:
+def plot(terrain: TerrainFile, ax: Any, *, cmap: str | None, shade: float, bounds: Any) -> Any:
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
     level = -1
@@ -108,12 +94,12 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
 
 @with_extra("view")
 def view(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     *,
     size: tuple[int, int],
     camera: str | None,
     bounds: Any,
-    style: "Style",
+    style: Style,
     max_pixel_error: float,
     **options: Any,
 ) -> Picture | None:

@@ -6,15 +6,17 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.file import TerrainFile
 from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.drape_detail import DrapeDetail
+from terrainwave.render.look.style import Style
 from terrainwave.render.look.water import may_have_water, read_water
 from terrainwave.render.modes.mode import NO_PROMISE, Frames
 from terrainwave.render.paging.background import Background, Outcome
@@ -24,10 +26,6 @@ from terrainwave.render.scene.walls import build_solid
 from terrainwave.render.window.controls import HELP, Controls
 from terrainwave.render.window.pictures import area_within, choose_camera
 from terrainwave.render.window.session import Session
-
-if TYPE_CHECKING:
-    from terrainwave.file import TerrainFile
-    from terrainwave.render.look.style import Style
 
 _OVERLAY_SECONDS = 0.2
 _SOLID_PAUSE = 5.0
@@ -49,26 +47,18 @@ def _display_problem(line: str) -> str:
 
 
 def run(
-    terrain: "TerrainFile",
+    terrain: TerrainFile,
     *,
     size: tuple[int, int],
     camera: str | None,
     bounds: Sequence[float] | None = None,
-    style: "Style",
+    style: Style,
     max_pixel_error: float,
     max_bytes: int = DEFAULT_MAX_BYTES,
     fullscreen: bool = False,
     **options: Any,
 ) -> str:
-    """Show a terrain until the window is closed; return the last camera as a line.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the terrain has no surface.
-    TerrainwaveError
-        If there is no display or no OpenGL 3.3; the message says what to do.
-    """
+    """Show a terrain until the window is closed; return the last camera as a line."""
     check_drawable(terrain)
     area = None if bounds is None else area_within(terrain, bounds)
     toolkit: Any = need("moderngl_window", extra="view", purpose="a window")

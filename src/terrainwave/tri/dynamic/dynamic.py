@@ -8,8 +8,8 @@ any number of heights, in one patch and across patches, without cracks. Nothing 
 corner of cells, their centres lie in one quadrant each, on its diagonal.
 
 Marking: from the leaves up over all nodes, once (`mark_bottom_up`); then, from frame to frame, from
-the patches' roots down to what may change: one height at a time, as printed in the paper
-(`step_top_down`), or until nothing changes (`settle_top_down`). With the measured error all three
+the patches' roots down to what may change (`mark_top_down`): one height at a time, as printed in
+the paper, or until nothing changes. With the measured error all three
 give the same result from any state, because no node's error on screen is below that of one under
 it.
 
@@ -76,19 +76,10 @@ class DynamicFrame(NamedTuple):
 
 
 class DynamicMesh(FollowingMesh[DynamicFrame]):
-    """A raster's mesh that follows a camera.
+    """A raster's mesh that follows a camera. Used by one thread.
 
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-
-    Notes
-    -----
-    `update` costs O(nodes on screen). Used by one thread.
+    `update` costs O(nodes on screen).
     """
-
-    _least_for = "patch"
 
     def __init__(
         self,
@@ -141,8 +132,6 @@ class DynamicMesh(FollowingMesh[DynamicFrame]):
     def least_vertices(self) -> int:
         return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
 
-    # One frame
-
     def largest_error(self, eye: Eye, followed: Followed) -> float:
         """Return the largest vertical distance of the drawn mesh in view from `heights`.
 
@@ -168,10 +157,9 @@ class DynamicMesh(FollowingMesh[DynamicFrame]):
             self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
             self.has_changed[...] = True
             return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
-        walk = step_top_down if is_stepwise else settle_top_down
-        n_touched, n_changed, n_more, largest = walk(
-            tree.layout, tree.z, tree.bounds, view, planes, threshold, self._stack, self.marks,
-            self.has_changed,
+        n_touched, n_changed, n_more, largest = mark_top_down(
+            tree.layout, tree.z, tree.bounds, view, planes, threshold, is_stepwise, self._stack,
+            self.marks, self.has_changed,
         )  # fmt: skip
         self._n_vertices += n_more
         return n_touched, n_changed, largest
@@ -209,9 +197,6 @@ class DynamicMesh(FollowingMesh[DynamicFrame]):
             self.tree.reach, self._is_bound,
         )  # fmt: skip
         return np.array([*numbers, *self.matrix], dtype=np.float64)
-
-
-# One mesh of many
 
 
 class ForestPart(NamedTuple):
@@ -330,9 +315,6 @@ def _rims(forest: Forest, open_sides: tuple[bool, bool, bool, bool]) -> NDArray[
     return edges[: fill_rim(open_sides, forest, edges)]
 
 
-# Errors on screen
-
-
 @inlined_kernel
 def screen_error(height, row, col, layout, z, bounds, view, planes):
     """Return the error on screen of a node of height >= 1, in pixels; 0 outside the view (§3.3).
@@ -404,9 +386,6 @@ def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
         if most < 0:
             return True
     return False
-
-
-# Marking
 
 
 @kernel
@@ -490,53 +469,21 @@ def _push_children(height, row, col, stack, depth):
 
 
 @kernel
-def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
-    """Change marks by one height at most (RecursiveDetermineNullSubTrees, §3.4).
+def mark_top_down(
+    layout, z, bounds, view, planes, tau, is_stepwise, stack, marks, has_changed
+):  # fmt: skip
+    """Change marks until a step would change nothing, in one walk (§3.4).
+
+    With `is_stepwise` by one height at most (RecursiveDetermineNullSubTrees). Otherwise a node that
+    is no longer a root is visited again with its children; a node whose children all became roots
+    is visited again after them: `~row` on the stack means "after".
 
     Return the numbers of touched nodes and of changed roots, the change in the number of valid
-    roots, and the largest error of divided roots: those below them have no larger one if errors are
-    bounds. `has_changed` is set for patches with changes.
+    roots, and the largest error of divided roots whose children were not visited: those below them
+    have no larger one if errors are bounds. `has_changed` is set for patches with changes.
     """
     n_touched = n_changed = n_more = 0
     largest = 0.0
-    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
-        n_before = n_changed
-        depth = _push_patch(patch, layout, stack)
-        while depth > 0:
-            depth -= 1
-            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-            n_touched += 1
-            if height == 0:
-                continue
-            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
-            child, down = _first_child(height, row, col, layout)
-            is_root = marks[node] == ROOT
-            if not is_root and not _are_roots(child, down, marks):
-                depth = _push_children(height, row, col, stack, depth)
-                continue
-            error = screen_error(height, row, col, layout, z, bounds, view, planes)
-            if is_root and error > tau:
-                largest = max(largest, error)
-                n_more += _split(node, child, down, z, marks)
-                n_changed += 5
-            elif not is_root and error < tau:
-                n_more += _merge(node, child, down, z, marks)
-                n_changed += 5
-            elif not is_root:
-                depth = _push_children(height, row, col, stack, depth)
-        if n_changed > n_before:
-            has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
-    return n_touched, n_changed, n_more, largest
-
-
-@kernel
-def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
-    """Change marks until a step would change nothing, in one walk; returns as `step_top_down`.
-
-    A node that is no longer a root is visited again with its children; a node whose children all
-    became roots is visited again after them. `~row` on the stack means "after".
-    """
-    n_touched = n_changed = n_more = 0
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
         n_before = n_changed
         depth = _push_patch(patch, layout, stack)
@@ -552,25 +499,32 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
                 continue
             node = layout[height, FIRST] + row * layout[height, N_COLS] + col
             child, down = _first_child(height, row, col, layout)
-            if is_after or marks[node] == ROOT:
-                if is_after and not _are_roots(child, down, marks):
-                    continue
-                is_good = screen_error(height, row, col, layout, z, bounds, view, planes) < tau
-                if is_after and is_good:
+            is_root = marks[node] == ROOT
+            may_merge = (is_after or is_stepwise) and not is_root
+            may_merge = may_merge and _are_roots(child, down, marks)
+            if is_root or may_merge:
+                error = screen_error(height, row, col, layout, z, bounds, view, planes)
+                if may_merge and error < tau:
                     n_more += _merge(node, child, down, z, marks)
                     n_changed += 5
-                if is_after or is_good:
+                if is_after or error < tau:
                     continue
-                n_more += _split(node, child, down, z, marks)
-                n_changed += 5
-            else:
+                if is_root:
+                    n_more += _split(node, child, down, z, marks)
+                    n_changed += 5
+                    if is_stepwise:
+                        largest = max(largest, error)
+                        continue
+            elif is_after:
+                continue
+            elif not is_stepwise:
                 stack[depth, 0], stack[depth, 1], stack[depth, 2] = height, ~row, col
                 depth += 1
-            if height > 1:
+            if height > 1 or is_stepwise:
                 depth = _push_children(height, row, col, stack, depth)
         if n_changed > n_before:
             has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
-    return n_touched, n_changed, n_more, 0.0
+    return n_touched, n_changed, n_more, largest
 
 
 @kernel
@@ -605,9 +559,6 @@ def largest_error_in_view(
                 error = np.float64(bounds[inner, HIGH]) - np.float64(bounds[inner, LOW])
             largest = max(largest, error)
     return largest
-
-
-# Vertices
 
 
 @kernel

@@ -46,18 +46,10 @@ def forest_of(
 ) -> tuple[Forest, list[tuple[int, int]]]:
     """Return the forest of meshes, and the position of the first tree of each.
 
-    Parameters
-    ----------
-    layouts, marks : list of ndarray
-        `HaarTree.layout` and marks of each mesh.
-    first_trees : list of tuple of int
-        Row and column of its first tree, from a common origin.
-    owned : list of tuple of slice
-        Trees, in rows and columns, that it draws in any case. Adjacent ones are a ring: drawn where
-        no mesh has a tree of its own; by the first mesh, if there are several. Trees further out
-        are not drawn.
-    vertex_of : ndarray of int32
-        To be filled, for all nodes.
+    `layouts` and `marks` are those of each mesh, `first_trees` row and column of its first tree
+    from a common origin, `owned` the trees, in rows and columns, that it draws in any case.
+    Adjacent ones are a ring: drawn where no mesh has a tree of its own; by the first mesh, if there
+    are several. Trees further out are not drawn. `vertex_of`, int32, is to be filled for all nodes.
     """
     shapes = [tuple(layout[-1, 1:].tolist()) for layout in layouts]
     least = [min(first[axis] for first in first_trees) for axis in (0, 1)]
@@ -128,7 +120,6 @@ def _root_beside(height, row, col, is_lower, is_right, forest):
 
 @kernel
 def _add(a, b, c, is_mirrored, triangles, count):
-    """Append a triangle of three vertices; return the new count."""
     if is_mirrored:
         b, c = c, b
     triangles[count, 0], triangles[count, 1], triangles[count, 2] = a, b, c

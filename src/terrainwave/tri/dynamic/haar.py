@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.followed import CLOSED
+from terrainwave.tri.quads import grown
 
 # Rows of `HaarTree.layout`, one per height: first node, rows and columns of nodes.
 FIRST, N_ROWS, N_COLS = 0, 1, 2
@@ -42,7 +42,6 @@ FIRST, N_ROWS, N_COLS = 0, 1, 2
 ERROR, LOW, HIGH = 0, 1, 2
 # Replaces an error: the node touches the outline.
 OUTLINE = -1.0
-MAX_TOP = 12
 # A float32 is within this share of what it was rounded from.
 _ROUNDING = 2.0**-23
 
@@ -76,45 +75,14 @@ def build_tree(
 ) -> HaarTree:
     """Return the tree of a raster.
 
-    Parameters
-    ----------
-    heights : ndarray, shape (n_rows, n_cols)
-    mask : ndarray of bool, same shape, optional
-        True for valid samples; None: all that are finite.
-    patch : int
-        Samples per side of a patch: a power of two, 2 to 4096.
-    error : {"measured", "paper"}
-        See the module's docstring.
-    open_sides : tuple of bool
-        Whether the raster continues beyond its first row and column, its last row and column.
-        Beyond the last ones, whole patches must fit.
-    is_surface : bool
-        Errors hold for the whole bilinear surface of the samples, not only at samples.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-
-    Notes
-    -----
-    The measured error takes O(n log(patch)) for n samples, some 0.1 µs each and height.
+    `mask` is true for valid samples; None: all that are finite. `patch` is a power of two, 2 to
+    4096: samples per side of a patch. `open_sides` are those on which the raster continues, beyond
+    its first row and column, its last row and column; beyond the last ones, whole patches must fit.
+    With `is_surface` errors hold for the whole bilinear surface of the samples, not only at
+    samples. The measured error takes O(n log(patch)) for n samples, some 0.1 µs each and height.
     """
-    heights = np.asarray(heights)
-    if heights.ndim != 2 or not heights.size:
-        raise InvalidHeightsError(f"found heights of shape {heights.shape}, expected rows, columns")
-    if patch < 2 or patch & (patch - 1) or patch > 1 << MAX_TOP:
-        raise InvalidHeightsError(f"found patch {patch}, expected a power of two from 2 to 4096")
-    if (open_sides[2] and heights.shape[0] % patch) or (open_sides[3] and heights.shape[1] % patch):
-        raise InvalidHeightsError(f"found shape {heights.shape} and open sides, expected patches")
-    if error not in ("measured", "paper"):
-        raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
     valid = np.isfinite(heights)
     if mask is not None:
-        if np.shape(mask) != heights.shape:
-            raise InvalidHeightsError(
-                f"found a mask of shape {np.shape(mask)}, expected that of heights: {heights.shape}"
-            )
         valid &= mask
     layout = _layout(heights.shape, patch)
     counts = layout[:, N_ROWS] * layout[:, N_COLS]
@@ -125,10 +93,16 @@ def build_tree(
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
     bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
     is_near_void = np.empty(len(z), dtype=np.bool_)
-    if error == "paper":  # which does not consider the outline
-        _mark_near_voids(leaves, heights.shape, (True, True, True, True), is_near_void)
-    else:
-        _mark_near_voids(leaves, leaves.shape, open_sides, is_near_void)
+    near = np.zeros(leaves.shape, dtype=np.bool_)
+    # The paper's errors do not consider the outline.
+    shape = heights.shape if error == "paper" else leaves.shape
+    near[: shape[0], : shape[1]] = grown(np.isnan(leaves[: shape[0], : shape[1]]), 1)
+    if error != "paper":
+        for line, is_open in zip(
+            (near[0], near[:, 0], near[-1], near[:, -1]), open_sides, strict=True
+        ):
+            line |= not is_open
+    is_near_void[: leaves.size] = near.ravel()
     for height in range(1, len(layout)):
         _average(height, layout, z, is_near_void)
         if error == "paper":
@@ -149,26 +123,6 @@ def _layout(shape: tuple[int, ...], patch: int) -> NDArray[np.int64]:
         layout[height] = first, n_rows, n_cols
         first += n_rows * n_cols
     return layout
-
-
-@kernel
-def _mark_near_voids(leaves, shape, open_sides, is_near_void):
-    """Mark each sample next to a void or outside one, and void ones.
-
-    Samples beyond `shape` are not marked.
-    """
-    is_near_void[: leaves.size] = False
-    n_rows, n_cols = shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            is_near = (row == 0 and not open_sides[0]) or (col == 0 and not open_sides[1])
-            is_near = is_near or (row == n_rows - 1 and not open_sides[2])
-            is_near = is_near or (col == n_cols - 1 and not open_sides[3])
-            if not is_near:
-                for r in range(max(row - 1, 0), min(row + 2, n_rows)):
-                    for c in range(max(col - 1, 0), min(col + 2, n_cols)):
-                        is_near = is_near or np.isnan(leaves[r, c])
-            is_near_void[row * leaves.shape[1] + col] = is_near
 
 
 @kernel

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.block_mesh import FRACTION_BITS
 
 # Vertices on borders keep within 7/10 of the tolerance, which leaves some to the adjacent
 # triangles.
@@ -17,29 +16,14 @@ _SHARE_NUM, _SHARE_DEN = 7, 10
 
 @kernel
 def line_vertices(heights, forced, offset, side, tolerance):
-    """Return which samples of a border line are vertices.
+    """Return which samples of a border line are vertices, always the first and the last.
 
     Dyadic: in the line of a whole block, sample m, an odd multiple of s, lies between m - s and m +
     s. It is a vertex if a sample between these two is further than the tolerance from their chord,
     or if a vertex lies between them; so vertices of a tolerance are vertices of any smaller one.
-
-    Parameters
-    ----------
-    heights : ndarray of integers, shape (n,)
-        Heights on the line, in any unit, below 2^40 in magnitude.
-    forced : ndarray of bool, shape (n,)
-        Samples that must be vertices: voids, and samples next to voids.
-    offset : int
-        Position of the first sample in the block's line, 0 … side.
-    side : int
-        Cells of a whole block: a power of two.
-    tolerance : int
-        In the unit of the heights.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
-        True for vertices, always for the first and last samples.
+    `heights`, integers below 2^40 in magnitude, have the unit of `tolerance`. `forced` are vertices
+    in any case: voids, and samples next to voids. `offset` is the position of the first sample in
+    the line of a block of `side` cells, a power of two.
     """
     n = heights.shape[0]
     last = offset + n - 1
@@ -76,46 +60,11 @@ def line_vertices(heights, forced, offset, side, tolerance):
     return vertices
 
 
-@kernel
-def vertices_of_lines(heights, locked, row, col, side, top, bottom, left, right):
-    """Return which samples of a rectangle's top, bottom, left and right line are vertices.
-
-    By `line_vertices`, within a tolerance for each line in 1/16 quanta. `row` and `col` are the
-    position of the rectangle's first sample in its block of `side` cells.
-    """
-    n_rows, n_cols = heights.shape
-    return (
-        _vertices_of_line(heights, locked, 0, 0, n_cols, True, col, side, top),
-        _vertices_of_line(heights, locked, n_rows - 1, 0, n_cols, True, col, side, bottom),
-        _vertices_of_line(heights, locked, 0, 0, n_rows, False, row, side, left),
-        _vertices_of_line(heights, locked, 0, n_cols - 1, n_rows, False, row, side, right),
-    )
-
-
-@kernel
-def _vertices_of_line(heights, locked, row, col, n, is_row, offset, side, tolerance):
-    """Return `line_vertices` of `n` samples from (row, col) on, in quanta."""
-    line, forced = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.bool_)
-    for k in range(n):
-        at_row, at_col = (row, col + k) if is_row else (row + k, col)
-        line[k] = np.int64(heights[at_row, at_col]) << FRACTION_BITS
-        forced[k] = locked[at_row, at_col]
-    return line_vertices(line, forced, offset, side, tolerance)
-
-
 def beside_void(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the samples that are void or touch a grid triangle with a void corner.
 
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (n_rows + 2, n_cols + 2)
-        Validity with an apron of one sample; True where there is no sample.
-
-    Returns
-    -------
-    ndarray of bool, shape (n_rows, n_cols)
-        Grid triangles are (a, b, c) and (a, c, d) of each quad with corners a, b in the upper row
-        and d, c in the lower.
+    `mask` has an apron of one sample, and is true where there is no sample. Grid triangles are (a,
+    b, c) and (a, c, d) of each quad with corners a, b in the upper row and d, c in the lower.
     """
     inner = mask[1:-1, 1:-1] & mask[:-2, :-2] & mask[2:, 2:]
     inner &= mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]

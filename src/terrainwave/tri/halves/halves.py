@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.halves.certificates import refusal_stands, test_of
-from terrainwave.tri.halves.height_fit import FixedPoint, fixed_point
+from terrainwave.tri.halves.height_fit import fixed_point
 from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.halves.workspace import (
     FREE,
@@ -64,30 +64,16 @@ def triangulate(
     offset: tuple[int, int] = (0, 0),
     leash: int | None = None,
 ) -> BlockMesh:
-    """Return the mesh of a rectangle of samples.
+    """Return the mesh of a rectangle of samples, in O(n log n) for n samples.
 
-    Parameters
-    ----------
-    heights : ndarray of int32, shape (n_rows, n_cols)
-        Decoded heights in quanta.
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        Valid samples; the mesh covers the grid triangles between three of them.
-    locked : ndarray of bool, shape (n_rows, n_cols)
-        Samples that stay vertices, from `borders.beside_void`.
-    lines : Lines
-        Vertices of the borders; those of `locked` must be among them.
-    tolerance : int
-        In 1/16 quanta: no valid sample inside is further from the mesh. On border lines the
-        distance is that of the chords between the vertices given.
-    offset : tuple of int
-        Row and column of the first sample in its block, which cells are aligned to.
-    leash : int, optional
-        In 1/16 quanta: no vertex between samples is further from their bilinear surface. Not for
-        meshes of files: where the ground bends, their vertices lie above ridges and below valleys.
-
-    Notes
-    -----
-    O(n log n) for n samples. Each thread keeps some 5 MB for the next mesh.
+    `heights` are decoded heights in quanta. The mesh covers the grid triangles between three
+    samples of `mask`. `locked` samples, from `borders.beside_void`, stay vertices; those on borders
+    must be among `lines`, the vertices of the borders. No valid sample inside is further from the
+    mesh than `tolerance`, in 1/16 quanta; on border lines the distance is that of the chords
+    between the vertices given. `offset` is row and column of the first sample in its block, which
+    cells are aligned to. No vertex between samples is further than `leash` from their bilinear
+    surface: not for meshes of files, as where the ground bends their vertices lie above ridges and
+    below valleys. Each thread keeps some 5 MB for the next mesh.
     """
     n_rows, n_cols = heights.shape
     if n_rows < 2 or n_cols < 2:
@@ -102,18 +88,16 @@ def triangulate(
         space.work, space.plane, space.pitch,
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
+    shift = FRACTION_BITS - scale.bits
     if n_rows > 2 and n_cols > 2:  # otherwise only border lines
+        most = math.inf if leash is None else float(leash >> shift)
         _merge_cells(
             space.work, space.floats, space.plane, space.pitch, (n_rows, n_cols), offset, has_table,
-            scale.tolerance, (scale.lowest, scale.highest, _leash_of(leash, scale)),
+            scale.tolerance, (scale.lowest, scale.highest, most),
         )  # fmt: skip
-    base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
+    base = scale.base << FRACTION_BITS
     has_voids = n_valid < n_rows * n_cols
     return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
-
-
-def _leash_of(leash: int | None, scale: FixedPoint) -> float:
-    return math.inf if leash is None else float(leash >> (FRACTION_BITS - scale.bits))
 
 
 @kernel

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.block_mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh, used_only
 from terrainwave.tri.halves.height_fit import fit_triangle, scaled_heights
 
 _MAX_DEGREE = 24
@@ -43,13 +43,7 @@ def simplify(
         values.ravel(), values.shape, (mesh.rows, mesh.cols, z, triangles), scale.tolerance,
         (scale.lowest, scale.highest), n_sweeps, min_thickness,
     )  # fmt: skip
-    triangles = triangles[is_alive]
-    is_used = np.zeros(len(z), dtype=np.bool_)
-    is_used[triangles] = True
-    number = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
-    return BlockMesh(
-        mesh.rows[is_used], mesh.cols[is_used], scale.to_mesh(z[is_used]), number[triangles]
-    )
+    return used_only(mesh.rows, mesh.cols, scale.to_mesh(z), triangles[is_alive])
 
 
 @kernel

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.block_mesh import BlockMesh
+from terrainwave.tri.block_mesh import BlockMesh, used_only
 
 # The table of triangles (`star`): pairs of a key and a program, the number of entries of programs,
 # and the samples of the entries.
@@ -241,43 +241,19 @@ def _valid_corners(a, b, c, d):
     return a, b, c
 
 
-@kernel
-def drop_unused(n_vertices, n_triangles, rows, cols, heights, triangles, number):
-    """Remove vertices without triangles, which voids leave behind; return the number left.
-
-    In place; `number` is scratch memory.
-    """
-    for vertex in range(n_vertices):
-        number[vertex] = 0
-    for t in range(n_triangles):
-        for k in range(3):
-            number[triangles[t, k]] = 1
-    count = 0
-    for vertex in range(n_vertices):
-        if number[vertex]:
-            number[vertex] = count
-            rows[count], cols[count] = rows[vertex], cols[vertex]
-            heights[count] = heights[vertex]
-            count += 1
-    for t in range(n_triangles):
-        for k in range(3):
-            triangles[t, k] = number[triangles[t, k]]
-    return count
-
-
 def finished_mesh(
     space: MeshArrays, shape: tuple[int, int], base: int, shift: int, *, has_voids: bool
 ) -> BlockMesh:
-    """Return the mesh of a workspace, copied; `base` and `shift` as for `read_mesh`."""
+    """Return the mesh of a workspace, copied; `base` and `shift` as for `read_mesh`.
+
+    Voids leave vertices without triangles behind.
+    """
     arrays = space.rows, space.cols, space.heights, space.triangles
     n_vertices, n_triangles = read_mesh(
         space.work, space.plane, space.pitch, shape, base, shift, arrays
     )
+    rows, cols = space.rows[:n_vertices], space.cols[:n_vertices]
+    heights, triangles = space.heights[:n_vertices], space.triangles[:n_triangles]
     if has_voids:
-        n_vertices = drop_unused(n_vertices, n_triangles, *arrays, space.work[PLANES:])
-    return BlockMesh(
-        space.rows[:n_vertices].copy(),
-        space.cols[:n_vertices].copy(),
-        space.heights[:n_vertices].copy(),
-        space.triangles[:n_triangles].copy(),
-    )
+        return used_only(rows, cols, heights, triangles)
+    return BlockMesh(rows.copy(), cols.copy(), heights.copy(), triangles.copy())

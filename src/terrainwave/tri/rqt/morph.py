@@ -17,15 +17,6 @@ from terrainwave.tri.rqt.stored import own_neighbours
 
 
 @kernel
-def number_vertices(active, samples, vertex_of, heights):
-    """Fill the number of each active vertex, and its sample's height; NaN is void."""
-    for number in range(active.shape[0]):
-        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-        vertex_of[row, col] = number
-        heights[number] = samples[row, col]
-
-
-@kernel
 def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices, places):
     """Fill vertices and their samples; return how many are not void.
 

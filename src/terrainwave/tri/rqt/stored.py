@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
-from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
+from terrainwave.tri.triangle import MAX_TOLERANCE, area_of, fits
 
 Selection = NDArray[np.uint8]
 
@@ -42,30 +42,18 @@ def select_vertices(
     # magnitudes in quanta: vertices are selected by them, and the tolerance is not guaranteed
     coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
-    """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh.
-
-    Returns
-    -------
-    selection : ndarray of uint8, shape (2**n + 1, 2**n + 1)
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large, or the tolerance is negative.
-    """
-    check_block(heights, mask)
+    """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh."""
     mask = np.ascontiguousarray(mask)
     rows, cols = virtual_places(heights.shape)
     selection = void_edges(mask)[np.ix_(rows, cols)].astype(np.uint8)
     if keep is not None:
-        check_block(keep, mask)
         at_rows, at_cols = np.nonzero(keep)
         selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
     if coefficients is not None:
         is_large = coefficients << FRACTION_BITS > tolerance
         selection |= is_large[np.ix_(rows, cols)]
     _select(
-        np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
+        np.ascontiguousarray(heights), mask, min(tolerance, MAX_TOLERANCE), rows, cols,
         coefficients is None, selection,
     )  # fmt: skip
     stack = _new_stack(len(rows))
@@ -207,7 +195,7 @@ def _start_walk(first, n, stack):
 
 
 @kernel
-def _split_top(selection, stack, depth):
+def split_top(selection, stack, depth):
     """Replace the triangle at ``stack[depth]`` by its halves if it is split; return whether."""
     r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
     if (r0 + r1) & 1 or (c0 + c1) & 1:
@@ -235,7 +223,7 @@ def _split_lines(rows, cols, stack, selection):
         depth = 1
         while depth > 0:
             depth -= 1
-            if _split_top(selection, stack, depth):
+            if split_top(selection, stack, depth):
                 depth += 2
                 continue
             r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
@@ -271,6 +259,12 @@ def _select_closed(selection, row, col, stack, depth):
 
 
 @kernel
+def _is_whole(mask, row, col):
+    upper, lower = mask[row, col] and mask[row, col + 1], mask[row + 1, col]
+    return upper and lower and mask[row + 1, col + 1]
+
+
+@kernel
 def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
     """Fill `corners` with the triangles and mark their samples; return their number."""
     n = rows.shape[0] - 1
@@ -281,7 +275,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
         depth = 1
         while depth > 0:
             depth -= 1
-            if _split_top(selection, stack, depth):
+            if split_top(selection, stack, depth):
                 depth += 2
                 continue
             r0, c0 = rows[stack[depth, 0]], cols[stack[depth, 1]]
@@ -293,12 +287,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
             if area == 1 or area == -1:
                 # One diagonal of a quad; with a void corner the quad's triangle is added below.
                 top, left = min(r0, r1, r2), min(c0, c1, c2)
-                if not (
-                    mask[top, left]
-                    and mask[top, left + 1]
-                    and mask[top + 1, left]
-                    and mask[top + 1, left + 1]
-                ):
+                if not _is_whole(mask, top, left):
                     continue
             if area < 0:
                 r1, c1, r2, c2 = r2, c2, r1, c1
@@ -308,12 +297,7 @@ def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
             count += 1
     for row in range(mask.shape[0] - 1):
         for col in range(n_cols - 1):
-            if (
-                mask[row, col]
-                and mask[row, col + 1]
-                and mask[row + 1, col]
-                and mask[row + 1, col + 1]
-            ):
+            if _is_whole(mask, row, col):
                 continue
             kinds = triangles_of_quad(mask, row, col)
             for shift in range(4):

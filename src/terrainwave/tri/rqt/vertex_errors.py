@@ -24,9 +24,6 @@ def twist_of(heights: NDArray[np.floating[Any]]) -> float:
     return float(np.max(twists, initial=0, where=~np.isnan(twists))) / 4
 
 
-# Dependencies
-
-
 @kernel
 def is_corner(row, col, tile):
     """Return whether a position is a corner of tiles; those are always vertices."""
@@ -40,9 +37,6 @@ def needs_of(row, col, tile):
         return row, col, row, col
     _, _, _, _, r2, c2, r3, c3 = own_neighbours(row, col)
     return r2, c2, r3, c3
-
-
-# Errors
 
 
 @kernel

@@ -35,10 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.followed import CLOSED, Eye, Followed, FollowingMesh, Marked
-from terrainwave.tri.rqt.morph import number_vertices, place_vertices
-from terrainwave.tri.rqt.stored import neighbours
+from terrainwave.tri.rqt.morph import place_vertices
+from terrainwave.tri.rqt.stored import neighbours, split_top
 from terrainwave.tri.rqt.vertex_errors import (
     is_corner,
     measure_tile,
@@ -78,15 +77,7 @@ class RestrictedFrame(NamedTuple):
 
 
 class RestrictedMesh(FollowingMesh[RestrictedFrame]):
-    """A raster's restricted quadtree that follows a camera.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If an argument is invalid.
-    """
-
-    _least_for = "corner of a tile"
+    """A raster's restricted quadtree that follows a camera."""
 
     def __init__(
         self,
@@ -104,22 +95,6 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
         scratch: Scratch | None = None,
     ) -> None:
         super().__init__(sample_matrix, scratch)
-        if tile < 2 or tile & (tile - 1):
-            raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
-        if np.ndim(heights) != 2 or not np.size(heights):
-            raise InvalidHeightsError(
-                f"found heights of shape {np.shape(heights)}, expected rows, columns"
-            )
-        if error not in ("measured", "paper", "coefficient"):
-            raise InvalidHeightsError(
-                f"found error {error!r}, expected measured, paper or coefficient"
-            )
-        if (coefficients is not None) != (error == "coefficient") or (
-            coefficients is not None and np.shape(coefficients) != np.shape(heights)
-        ):
-            raise InvalidHeightsError(
-                "expected coefficients, one for each height, with error 'coefficient' alone"
-            )
         self.shape, self.tile = (heights.shape[0], heights.shape[1]), tile
         n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in self.shape)
         self.n_tiles = n_rows, n_cols
@@ -166,8 +141,6 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
         self._active, self._on_screen = np.empty((capacity, 2), dtype=np.int32), np.empty(capacity)
         self._active[:n], self._on_screen[:n] = active, on_screen
 
-    # One frame
-
     @property
     def least_vertices(self) -> int:
         return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
@@ -177,8 +150,9 @@ class RestrictedMesh(FollowingMesh[RestrictedFrame]):
         take, active = self._scratch.take, self._active[:n]
         start, end = followed.threshold, followed.tau
         vertex_of = take("vertex_of", self._is_active.shape, np.int32)
-        shares, heights = take("shares", (n,), np.float64), take("heights", (n,), np.float64)
-        number_vertices(active, self._heights, vertex_of, heights)
+        shares, at = take("shares", (n,), np.float64), tuple(active.T)
+        vertex_of[at] = np.arange(n)
+        heights = self._heights[at].astype(np.float64)
         if end > start:
             fill_shares(
                 self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,
@@ -266,9 +240,6 @@ def _padded(
     return padded
 
 
-# Errors on screen
-
-
 @kernel
 def _stride_of(row, col, tile):
     """Return the stride of a vertex by its position; that of a tile's corners is `tile`."""
@@ -324,9 +295,6 @@ def error_in_box(error, row, col, reach, view, planes):
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
 
 
-# Shares of thresholds
-
-
 @kernel
 def fill_shares(
     errors, tile, active, on_screen, vertex_of, view, planes, start, end, shares
@@ -356,9 +324,6 @@ def fill_shares(
             if 0 <= r < n_rows and 0 <= c < n_cols:
                 needed = vertex_of[r, c]
                 shares[needed] = max(shares[needed], share)
-
-
-# Splits and merges
 
 
 @kernel
@@ -483,9 +448,6 @@ def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
     return n_new
 
 
-# Triangles
-
-
 @kernel
 def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, triangles):
     """Fill the triangles of the active vertices; return their number."""
@@ -494,37 +456,28 @@ def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, tria
         for col in range(0, is_active.shape[1] - 1, tile):
             half = tile // 2
             r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + half, col + half, half)
-            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = r0, c0, r1, c1
-            stack[0, 4], stack[0, 5] = r2, c2
-            stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = r0, c0, r1, c1
-            stack[1, 4], stack[1, 5] = r3, c3
+            for k in range(2):
+                stack[k, 0], stack[k, 1], stack[k, 2], stack[k, 3] = r0, c0, r1, c1
+                stack[k, 4], stack[k, 5] = (r3, c3) if k else (r2, c2)
             depth = 2
             while depth > 0:
                 depth -= 1
+                if split_top(is_active, stack, depth):
+                    depth += 2
+                    continue
                 r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
                 r2, c2 = stack[depth, 4], stack[depth, 5]
-                r, c = (r0 + r1) >> 1, (c0 + c1) >> 1
-                is_whole = not ((r0 + r1) & 1 or (c0 + c1) & 1)
-                if is_whole and is_active[r, c]:
-                    stack[depth, 0], stack[depth, 1] = r2, c2
-                    stack[depth, 2], stack[depth, 3] = r0, c0
-                    stack[depth, 4], stack[depth, 5] = r, c
-                    stack[depth + 1, 0], stack[depth + 1, 1] = r1, c1
-                    stack[depth + 1, 2], stack[depth + 1, 3] = r2, c2
-                    stack[depth + 1, 4], stack[depth + 1, 5] = r, c
-                    depth += 2
-                elif is_whole:
-                    corners = (r0, c0), (r1, c1), (r2, c2)
+                corners = (r0, c0), (r1, c1), (r2, c2)
+                if not ((r0 + r1) & 1 or (c0 + c1) & 1):
                     count = _add(corners, is_mirrored, vertex_of, triangles, count)
-                else:
-                    r, c = min(r0, r1, r2), min(c0, c1, c2)
-                    valid = 0
-                    for k in range(4):
-                        valid |= (not np.isnan(heights[r + (k >> 1), c + (k & 1)])) << k
-                    corners = (r0, c0), (r1, c1), (r2, c2)
-                    count = _add_in_quad(
-                        corners, valid, is_mirrored, is_active, vertex_of, triangles, count
-                    )
+                    continue
+                r, c = min(r0, r1, r2), min(c0, c1, c2)
+                valid = 0
+                for k in range(4):
+                    valid |= (not np.isnan(heights[r + (k >> 1), c + (k & 1)])) << k
+                count = _add_in_quad(
+                    corners, valid, is_mirrored, is_active, vertex_of, triangles, count
+                )
     return count
 
 
@@ -562,9 +515,6 @@ def _add_in_quad(corners, valid, is_mirrored, is_active, vertex_of, triangles, c
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
     return _add(((r0, c0), (r1, c1), (r2, c2)), is_mirrored, vertex_of, triangles, count)
-
-
-# Borders
 
 
 @kernel

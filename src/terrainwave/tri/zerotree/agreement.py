@@ -3,24 +3,16 @@
 E. Yusov, V. Turlapov 2010: a vertex on a border in one block's selection must be in the other's as
 well; levels of the tree are swept from the finest, and where a vertex is missing, detail is added.
 
-Here a block's triangulation is a function of its own samples and of a set of vertices it must keep,
-and it always has at least these. Agreement is the fixed point of rounds:
+Here a block's triangulation is a function of its own samples and of vertices it must keep, and it
+has at least these. Agreement is the fixed point of rounds: every block is triangulated, keeping
+nothing; then, again and again, every block whose neighbours have border vertices that it lacks,
+keeping its own border vertices and theirs. Sets on the borders only grow, so this ends. A round
+reads only the border sets of the round before: the result is a function of only the blocks,
+whatever the order, or the threads, files or machines that divide the level and exchange border
+bits.
 
-1. every block is triangulated, keeping nothing;
-2. every block whose neighbours have border vertices that it lacks is triangulated again, keeping
-   its own border vertices and theirs; and so on until no block lacks any.
-
-Sets on the borders only grow, so this ends. A round reads only the border sets of the round before:
-the result is a function of only the blocks, whatever the order or number of threads inside a round,
-and wherever subtrees, files or machines divide the level: they exchange border bits.
-
-For the restricted quadtree (`rqt`) adding vertices is a closure, monotone and idempotent: the
-result is the least fixed point, with or without rounds. For Algorithm I the agreement of trees by
-itself is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then
-break the bound: triangles next to a node that is split again were never checked. Repairing them by
-further splits is not monotone, and its result would depend on who came first. So the block is built
-anew around the vertices to keep, always within the bound, and the rounds make that independent of
-order.
+Blocks are built anew because a cut that is refined to have a vertex may break the bound: triangles
+next to a node that is split again were never checked, and repairs would depend on who came first.
 
 Corners are vertices of every block and samples on a shared side are the same samples, so that two
 sides are compared by position.
@@ -49,7 +41,6 @@ class BorderVertices(NamedTuple):
     right: Flags
 
     def keep(self, shape: tuple[int, int]) -> Keep:
-        """Return these vertices as a map of the block's samples."""
         keep = np.zeros(shape, dtype=np.bool_)
         keep[0] |= self.top
         keep[-1] |= self.bottom
@@ -59,7 +50,6 @@ class BorderVertices(NamedTuple):
 
 
 def border_of(vertices: Keep) -> BorderVertices:
-    """Return the border part of a map of vertices."""
     return BorderVertices(
         vertices[0].copy(), vertices[:, 0].copy(), vertices[-1].copy(), vertices[:, -1].copy()
     )
@@ -80,11 +70,6 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
 
     `borders` by block position; blocks outside of it demand nothing. A corner is shared by four
     blocks, but it is a vertex of all of them.
-
-    Raises
-    ------
-    ValueError
-        If a shared side has different numbers of samples in the two blocks.
     """
     row, col = position
     own = borders[position]
@@ -96,19 +81,12 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
         flags = getattr(own, side)
         neighbour = borders.get((row + down, col + right))
         if neighbour is not None:
-            theirs = getattr(neighbour, other)
-            if theirs.shape != flags.shape:
-                raise ValueError(
-                    f"blocks {position} and {(row + down, col + right)} share a side of"
-                    f" {flags.size} and {theirs.size} samples"
-                )
-            flags = flags | theirs
+            flags = flags | getattr(neighbour, other)
         demands.append(flags)
     return BorderVertices(*demands)
 
 
 def lacks(own: BorderVertices, demanded: BorderVertices) -> bool:
-    """Return whether some demanded vertex is missing."""
     return any(bool((more & ~has).any()) for has, more in zip(own, demanded, strict=True))
 
 
@@ -132,20 +110,10 @@ def agree(
 ) -> tuple[dict[Position, Result], int]:
     """Return the triangulations of blocks of one level with equal borders, and the rounds it took.
 
-    Parameters
-    ----------
-    positions : list of (row, col)
-        Blocks, in blocks of their level; any order gives the same result.
-    triangulate : callable
-        Returns the triangulation of a block with at least the given border vertices (None: any).
-    border : callable
-        Returns the border vertices of such a triangulation.
-    run : callable
-        As `map`: triangulates the blocks of one round. May do so in threads.
-
-    Notes
-    -----
-    Holds all results. To work out of core, keep only `border_of` results and use `late_blocks` in
+    `positions` are (row, col) in blocks of their level, in any order. `triangulate` returns the
+    triangulation of a block with at least the given border vertices (None: any), `border` its
+    border vertices. `run`, as `map`, triangulates the blocks of one round, perhaps in threads. All
+    results are held; to work out of core, keep only `border_of` results and use `late_blocks` in
     the same rounds.
     """
     nothing = [None] * len(positions)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.block_mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.quads import Keep, build_mesh, corner_of_quad, triangles_of_quad, void_edges
-from terrainwave.tri.triangle import area_of, check_block, deviation
+from terrainwave.tri.triangle import area_of, deviation
 from terrainwave.tri.zerotree.labels import Cut, Trees, promote, root_along, set_node
 from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
@@ -41,15 +41,6 @@ def loose_mesh(
     trees: Trees,  # zero trees of the group that refines the block (`coding.zerotrees`)
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> LooseMesh:
-    """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large.
-    """
-    check_block(heights, mask)
-    check_block(trees, mask)
     mask = np.ascontiguousarray(mask)
     kept = void_edges(mask)
     if keep is not None:
@@ -94,7 +85,6 @@ def mesh_error(heights: NDArray[np.int32], mesh: BlockMesh) -> int:
 
 @kernel
 def _collect(mask, cut, vertex_of, corners):
-    """Fill `corners` with the triangles, mark their samples; return their number."""
     n_rows, n_cols = mask.shape
     count = 0
     for row in range(n_rows - 1):

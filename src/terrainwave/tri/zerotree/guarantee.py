@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.quads import Keep, void_edges
-from terrainwave.tri.triangle import check_block, check_tolerance, fits
+from terrainwave.tri.triangle import MAX_TOLERANCE, fits
 from terrainwave.tri.zerotree.labels import (
     Cut,
     Trees,
@@ -48,40 +48,24 @@ def guaranteed_cut(
     trees: Trees | None = None,
     keep: Keep | None = None,  # samples that must be vertices besides those at voids
 ) -> Cut:
-    """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh.
-
-    Returns
-    -------
-    cut : ndarray of uint8, same shape
-        See `tri.zerotree.labels`.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ or are too large, or the tolerance is negative.
-    """
-    check_block(heights, mask)
-    tolerance = check_tolerance(tolerance)
-    for other in (trees, keep):
-        if other is not None:
-            check_block(other, mask)
+    """Return the cut of the guaranteed triangulation; `connect.mesh_of_cut` makes the mesh."""
+    tolerance = min(tolerance, MAX_TOLERANCE)
     kept = void_edges(mask)
     if keep is not None:
         kept |= keep
-    roots = np.empty(heights.shape, dtype=np.int32)
-    cut = np.zeros(heights.shape, dtype=np.uint8)
+    rows, cols = np.indices(heights.shape, dtype=np.int32)
+    roots, cut = rows << _ROW_SHIFT | cols, np.zeros(heights.shape, dtype=np.uint8)
     _merge(np.ascontiguousarray(heights), ceilings(kept, trees), tolerance, roots, cut)
-    return cut
+    return cut[roots >> _ROW_SHIFT, roots & _COL_MASK]
 
 
 @kernel
 def _merge(heights, ceiling, tolerance, roots, cut):
-    """Algorithm I; `roots` (row << 16 | column of each sample's root) and `cut` are filled."""
+    """Algorithm I; `roots` are row << 16 | column of each sample's root, at first its own.
+
+    Afterwards `cut` is valid at roots.
+    """
     n_rows, n_cols = heights.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            roots[row, col] = row << _ROW_SHIFT | col
-            cut[row, col] = 0
     for height in range(1, top_height(n_rows, n_cols) + 1):
         for i in range(axis_nodes(n_rows, height)):
             row = first_sample(i, n_rows, height)
@@ -115,10 +99,6 @@ def _merge(heights, ceiling, tolerance, roots, cut):
                     line = roots[r]
                     for c in range(col, col_end):
                         line[c] = root
-    for row in range(n_rows):
-        for col in range(n_cols):
-            root = np.int64(roots[row, col])
-            cut[row, col] = cut[root >> _ROW_SHIFT, root & _COL_MASK]
 
 
 @kernel
@@ -169,7 +149,6 @@ def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, mo
 
 @kernel
 def _fits(heights, a, b, c, tolerance):
-    """Check a triangle of three packed roots."""
     return fits(
         heights, a >> _ROW_SHIFT, a & _COL_MASK, b >> _ROW_SHIFT, b & _COL_MASK, c >> _ROW_SHIFT,
         c & _COL_MASK, tolerance,

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.filters import BAND_GAINS, forward_transform, synthesise
-from terrainwave.coding.jit import kernel
 from terrainwave.coding.zerotrees import mark_zero_trees
 from terrainwave.tri.block_mesh import FRACTION_BITS
+from terrainwave.tri.quads import grown
 from terrainwave.tri.zerotree.labels import Trees
 
 # Share of Err_Tri, in 1/16, from which a coefficient is significant.
@@ -37,10 +37,7 @@ def layer_trees(
 ) -> Trees:
     """Return the zero trees of the difference layer between a block and the group below it.
 
-    Returns
-    -------
-    ndarray of uint8, shape (n_rows, n_cols)
-        A map as in `coding.zerotrees`; its finest nodes are the block's samples.
+    A map as in `coding.zerotrees`; its finest nodes are the block's samples.
     """
     layer = np.empty(finer.shape, dtype=np.int32)
     line = np.zeros(heights.shape[1] + 4, dtype=np.int64)
@@ -48,8 +45,7 @@ def layer_trees(
     synthesise(np.where(mask, heights, np.int32(0)), 0, 0, line, rows, layer)
     field = (finer.astype(np.int64) - layer) << _LAYER_BITS
     if not (mask.all() and finer_mask.all()):
-        near = np.zeros(mask.shape, dtype=np.bool_)
-        _mark_near(np.ascontiguousarray(mask), near)
+        near = grown(~mask, _REACH)
         field[~finer_mask | near.repeat(2, 0).repeat(2, 1)[: field.shape[0], : field.shape[1]]] = 0
     half = np.zeros(((finer.shape[1] + 1) >> 1) + 3, dtype=np.int64)
     forward_transform(field, half, half.copy())
@@ -62,16 +58,3 @@ def _thresholds(tolerance: int) -> NDArray[np.int64]:
     """Return the smallest significant magnitudes by transform and band, in 1/64 quanta."""
     scaled = tolerance * SHARE << (_LAYER_BITS - FRACTION_BITS)
     return np.maximum((scaled * BAND_GAINS) >> (SHARE_BITS + 12), 1)
-
-
-@kernel
-def _mark_near(mask, near):
-    """Mark samples with a void within `_REACH` rows and columns."""
-    n_rows, n_cols = mask.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            if mask[row, col]:
-                continue
-            for i in range(max(row - _REACH, 0), min(row + _REACH + 1, n_rows)):
-                for j in range(max(col - _REACH, 0), min(col + _REACH + 1, n_cols)):
-                    near[i, j] = True

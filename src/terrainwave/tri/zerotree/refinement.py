@@ -28,7 +28,7 @@ from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.tri.block_mesh import FRACTION_BITS
 from terrainwave.tri.quads import void_edges
-from terrainwave.tri.triangle import check_block, check_tolerance
+from terrainwave.tri.triangle import MAX_TOLERANCE
 from terrainwave.tri.zerotree.labels import (
     Cut,
     Trees,
@@ -66,7 +66,6 @@ def encode_refinement(
 
     `decode_refinement` with the same arguments undoes it.
     """
-    check_block(cut, mask)
     coded = []
     out, reached = np.empty(cut.size + 64, dtype=np.uint8), np.empty(cut.shape, dtype=np.uint8)
     for kind in (BY_HEIGHT, BY_ROUGHNESS):
@@ -86,13 +85,9 @@ def decode_refinement(
 ) -> Cut:
     """Return the cut that `encode_refinement` wrote (§2 and §3 of the annex).
 
-    Any bytes give a cut or an exception, in time and memory bounded by the block's size. A cut from
-    wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the bytes are not refinement labels; `TruncatedStreamError` if there are too few.
+    Any bytes give a cut or a `CorruptStreamError`, in time and memory bounded by the block's size.
+    A cut from wrong bytes makes a mesh without cracks, but not within the tolerance, and it may
+    fold.
     """
     if not data:
         raise TruncatedStreamError("refinement labels are empty")
@@ -107,14 +102,6 @@ def decode_refinement(
     return cut
 
 
-def bits_per_sample(data: bytes, shape: tuple[int, int]) -> float:
-    """Return a triangulation's bits per sample, as Yusov & Turlapov 2010, tables 1 and 2.
-
-    They report 0.036 to 0.208 bits per sample at 1, 3 and 10 m.
-    """
-    return 8 * len(data) / (shape[0] * shape[1])
-
-
 def _side_information(
     heights: NDArray[np.int32],
     mask: NDArray[np.bool_],
@@ -123,10 +110,7 @@ def _side_information(
     kind: int,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return the ceilings of nodes, and their roughness (empty if contexts don't need it)."""
-    check_block(heights, mask)
-    tolerance = check_tolerance(tolerance)
-    if trees is not None:
-        check_block(trees, mask)
+    tolerance = min(tolerance, MAX_TOLERANCE)
     ceiling = ceilings(void_edges(mask), trees)
     if kind == BY_HEIGHT:
         return ceiling, np.zeros((0, 0, 0), dtype=np.uint8)
