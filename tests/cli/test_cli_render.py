@@ -163,11 +163,3 @@ def test_a_raster_without_a_surface_is_one_line(tmp_path, shape):
 def test_a_raster_of_voids_is_one_line(tmp_path):
     status, line = refused(tmp_path, np.full((40, 40), -1))
     assert (status, "voids only" in line) == (1, True)
-
-
-@pytest.mark.parametrize("mode", ["adaptive", "batched", "full"])
-def test_a_picture_of_voids_is_one_line(tmp_path, mode):
-    heights = np.full((40, 40), -1)
-    heights[:9, :9] = 5
-    status, line = refused(tmp_path, heights, "--bounds", "25,25,35,35", "--mode", mode)
-    assert (status, "is void" in line) == (1, True)

@@ -222,17 +222,6 @@ def test_heights_with_digests_of_their_own_are_found_by_the_root_only(tmp_path):
     assert problem.endswith(f"expected {root}")
 
 
-@pytest.mark.full
-def test_another_place_is_found_by_the_root(tmp_path, raster):
-    tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
-    root = digest_of(tmp_path / "a.twz")
-    editor = Editor((tmp_path / "a.twz").read_bytes())
-    editor.set_json(crs="EPSG:32612")
-    (tmp_path / "a.twz").write_bytes(editor.bytes())
-    assert tw.verify(tmp_path / "a.twz").ok
-    assert not tw.verify(tmp_path / "a.twz", root=root).ok
-
-
 @pytest.mark.parametrize("root", ["", "12", "g" * 64, 5])
 def test_what_is_no_root_is_refused(tmp_path, root):
     path, _ = altered(tmp_path, has_new_digests=True)

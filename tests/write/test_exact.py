@@ -78,23 +78,6 @@ def test_negative_zeros_in_one_window_of_many_are_found(tmp_path):
     assert (tmp_path / "True.twz").read_bytes() == (tmp_path / "False.twz").read_bytes()
 
 
-def test_verify_finds_zeros_whose_sign_was_lost(tmp_path):
-    heights = terrain_like(40, 40).astype("float32")
-    raster = write_geotiff(tmp_path / "dem.tif", heights)
-    heights[3, 3:9] = -0.0
-    signed = write_geotiff(tmp_path / "signed.tif", heights)
-    heights[3, 3:9] = 0.0
-    compress(write_geotiff(tmp_path / "dem.tif", heights), tmp_path / "dem.twz", max_error=0)
-    assert verify(tmp_path / "dem.twz", raster).problems == ()
-    (problem,) = verify(tmp_path / "dem.twz", signed).problems
-    assert problem.startswith("6 samples are 0.0 in one of the two and -0.0 in the other")
-    assert "the first at row 3, column 3" in problem
-    compress(signed, tmp_path / "signed.twz", max_error=0)
-    assert verify(tmp_path / "signed.twz", signed).problems == ()
-    compress(raster, tmp_path / "near.twz", max_error=0.4)
-    assert verify(tmp_path / "near.twz", signed).problems == ()  # of numbers within a bound
-
-
 def test_the_proof_finds_a_bit_that_did_not_come_back(monkeypatch):
     heights = terrain_like(40, 40).astype("float32")
     heights[3, 3:9] = -0.0
@@ -194,16 +177,6 @@ def test_a_file_is_no_larger_than_zstd_with_its_predictor(tmp_path, dtype, metho
     raster = write_geotiff(tmp_path / "dem.tif", heights, **profile)
     compress(raster, tmp_path / "dem.twz", max_error=0, method=method)  # with blocks as users have
     assert (tmp_path / "dem.twz").stat().st_size <= raster.stat().st_size
-
-
-@pytest.mark.full
-def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
-    raster = write_geotiff(tmp_path / "dem.tif", off_grid("float32", (300, 280)), nodata=np.nan)
-    options = dict(max_error=0, block=32, mesh="none")
-    compress(raster, tmp_path / "one.twz", **options)
-    with ThreadPoolExecutor(2) as client:
-        compress(raster, tmp_path / "many.twz", client=client, task_samples=4096, **options)
-    assert (tmp_path / "one.twz").read_bytes() == (tmp_path / "many.twz").read_bytes()
 
 
 @pytest.mark.parametrize("max_error", [0, 0.01])

@@ -271,17 +271,6 @@ def test_work_of_a_source_that_has_changed_is_removed_and_said(tmp_path, raster,
 
 
 @pytest.mark.full
-def test_a_source_behind_a_vrt_counts_too(tmp_path, raster, monkeypatch):
-    vrt, target = tmp_path / "dem.vrt", tmp_path / "out.twz"
-    rasterio.shutil.copy(raster, vrt, driver="VRT")
-    interrupted(target, vrt, monkeypatch)
-    with rasterio.open(raster, "r+") as dataset:
-        dataset.write(dataset.read(1) * (dataset.read(1) != NODATA), 1)
-    with pytest.warns(TerrainwaveWarning, match="the source was another one"):
-        terrainwave.compress(vrt, target, **OPTIONS)
-
-
-@pytest.mark.full
 def test_heights_of_an_array_tell_whether_it_is_the_same(tmp_path, monkeypatch):
     heights, target = terrain_like(*SHAPE, seed=3), tmp_path / "out.twz"
     interrupted(target, heights, monkeypatch)
