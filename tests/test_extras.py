@@ -46,6 +46,17 @@ def project():
     return tomllib.loads(path.read_text(encoding="utf-8"))["project"]
 
 
+def test_lines_of_documents_install_extras_that_exist():
+    """`make release-check` runs them."""
+    root = PACKAGE.parents[1]
+    pages = [root / "README.md", root / "js" / "README.md", *(root / "docs").rglob("*.md")]
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    lines = set(re.findall(r"pip install (?:--?[\w-]+ )*[\"']?terrainwave(?:\[[\w,-]+\])?", text))
+    assert {"pip install terrainwave", "pip install --upgrade terrainwave"} <= lines
+    named = {name for line in lines for name in re.findall(r"[\w-]+(?=[,\]])", line)}
+    assert {"mesh", "view"} <= named <= set(project()["optional-dependencies"])
+
+
 def calls_of_need():
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -63,7 +63,7 @@ def wait_until(driver, script):
         found = driver.execute_script(f"return {script}")
         if found:
             return found
-        time.sleep(0.25)
+        time.sleep(0.05)
     raise AssertionError(f"never true: {script}; console: {console(driver)}")
 
 
