@@ -395,22 +395,6 @@ def test_a_signal_before_the_naming_of_a_file_leaves_the_target(
     assert not (tmp_path / "a.twz").exists()
 
 
-@pytest.mark.parametrize(
-    ("error", "status", "words"),
-    [
-        (KeyboardInterrupt, 130, "interrupted; the target is untouched"),
-        (MemoryError, 1, "out of memory"),
-    ],
-)
-def test_interruption_and_lack_of_memory_are_one_line(
-    tmp_path, dem, monkeypatch, error, status, words
-):
-    monkeypatch.setattr(terrainwave, "compress", Mock(side_effect=error), raising=False)
-    done = run("compress", dem, tmp_path / "a.twz")
-    assert (done.exit_code, done.stdout) == (status, "")
-    assert words in done.stderr.strip().splitlines()[-1]
-
-
 def test_control_characters_are_taken_out():
     assert plain(HOSTILE) == "<script>alert(1)</script>]8;;http://x[link=http://x]z[/link] next"
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import python, run
+from commands import run
 from render.scenes import hills
 
 from terrainwave.write.compress import compress
@@ -112,15 +112,6 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     assert (tmp_path / "x.png").read_text() == "mine"
     done = run("render", file, tmp_path / "x.png", "--size", "20x20", "--overwrite")
     assert done.exit_code == 0, done.output
-
-
-@pytest.mark.parametrize("library", ["moderngl", "numba", "PIL"])
-def test_help_needs_no_heavy_library(library):
-    code = (
-        "import sys; from click.testing import CliRunner; from terrainwave.cli import main;"
-        f"CliRunner().invoke(main, ['render', '--help']); sys.exit({library!r} in sys.modules)"
-    )
-    assert python(code).returncode == 0
 
 
 # What these modes compile takes long.
