@@ -128,7 +128,7 @@ def pytest_collection():
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Import no file that the marks of test-bounds and test-python leave out: it takes seconds."""
+    """Import no file of which the marks of test-bounds and test-python leave out all."""
     if config.getoption("markexpr").startswith("kernels and not"):
         parts = collection_path.relative_to(TESTS).parts
         return not (WITHOUT_KERNELS | OF_FILES).isdisjoint(parts) or None

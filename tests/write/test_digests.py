@@ -181,16 +181,6 @@ def test_stored_meshes_leave_digests_as_they_are(tmp_path, raster):
     assert digest_of(tmp_path / "b.twz") == digest_of(tmp_path / "a.twz")
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("block", [32, 1024])
-def test_the_root_is_checked_in_blocks_of_any_size(tmp_path, raster, block):
-    tw.compress(raster, tmp_path / "a.twz", **OPTIONS | {"block": block, "digest": False})
-    tw.compress(raster, tmp_path / "b.twz", **OPTIONS)
-    root = digest_of(tmp_path / "b.twz")
-    assert tw.verify(tmp_path / "a.twz", root=root).ok
-    assert not tw.verify(tmp_path / "a.twz", root=root[::-1]).ok
-
-
 def altered(tmp_path, *, has_new_digests):
     """Return a file of other heights than it was made of, with checksums that match."""
     heights = terrain_like(700, 20, seed=2)
