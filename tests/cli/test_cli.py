@@ -14,7 +14,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-import rasterio
 from commands import one_line, python, run, start
 from rasterio.transform import Affine
 from reference import recursive_errors
@@ -95,16 +94,6 @@ def test_compress_prints_json(tmp_path, dem):
     assert fields["n_bytes"] == target.stat().st_size
     assert (fields["max_error"], fields["effective_error"]) == (2.5, 2)
     assert fields["method"] == "store"
-
-
-@pytest.mark.large
-def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
-    target = tmp_path / "cut.twz"
-    assert run("compress", dem, target, "--method", "cdf53", "-o", "psnr=40").exit_code == 0
-    assert run("verify", target, dem).exit_code == 0
-    part = tmp_path / "part.tif"
-    assert run("decompress", target, part, "--quality", 1).exit_code == 0
-    assert part.stat().st_size > 0
 
 
 def test_decompress_prints_json(tmp_path, twz):
@@ -204,15 +193,6 @@ def test_a_target_that_is_the_source_is_refused(tmp_path, dem, twz, command, by_
     (os.symlink if by_link else os.link)(source, target)
     assert "expected another name" in one_line(run(command, source, target, "--overwrite"), 1)
     assert source.read_bytes() == before
-
-
-def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
-    before = dem.read_bytes()
-    link = dem.with_suffix(".twz")
-    link.symlink_to(dem)
-    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="file to be read"):
-        terrainwave.compress(dataset, link, max_error=5, overwrite=True)
-    assert dem.read_bytes() == before
 
 
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
