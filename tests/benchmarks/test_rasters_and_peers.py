@@ -14,7 +14,7 @@ from benchmarks.peers import (
     quantize_indices,
     snap_to_grid,
 )
-from benchmarks.rasters import Raster, detect_quantum, mask_bytes, void_fills
+from benchmarks.rasters import Raster, detect_quantum
 
 
 def make_raster(heights, mask=None, nodata=None):
@@ -28,14 +28,6 @@ def ground(dtype, quantum, seed):
     walk = np.random.default_rng(seed).normal(0, 9, (13, 17)).cumsum(0).cumsum(1)
     heights = np.rint(walk / quantum) * quantum if quantum else walk
     return make_raster(heights.astype(dtype))
-
-
-@pytest.mark.parametrize(
-    ("values", "quantum"),
-    [([1.0, 2.0], 1.0), ([1.5, 2.0], 0.5), ([0.01, 7.13], 0.01), ([0.1234567, 3.0], 0.0)],
-)
-def test_quantum_is_the_largest_that_all_heights_are_multiples_of(values, quantum):
-    assert detect_quantum(np.array(values, np.float32)) == quantum
 
 
 @given(
@@ -100,23 +92,3 @@ def test_valid_sample_that_decodes_to_nodata_is_a_problem():
     raster = make_raster(heights, heights != -1, nodata=-1)
     decoded = np.array([[-1, 5], [-1, 7]], np.int16)
     assert compare(raster, decoded, 1.0, check_voids=True).problem == "MASK DIFFERS"
-
-
-def test_allowance_exists_on_decimal_grids_of_floats_only():
-    assert ground("float32", 0.01, 4).slack > 0
-    assert ground("float32", 0.5, 4).slack == 0
-    assert ground("float32", 0.0, 4).slack == 0
-    assert ground("int16", 1.0, 4).slack == 0
-
-
-def test_fills_change_void_samples_only_and_stay_on_the_grid():
-    raster = ground("int16", 1.0, 5)
-    mask = raster.mask.copy()
-    mask[3:9, 4:12] = False
-    raster = replace(raster, mask=mask)
-    fills = dict(void_fills(raster))
-    assert sorted(fills) == ["constant", "nearest", "smooth"]
-    for filled in fills.values():
-        np.testing.assert_array_equal(filled.heights[mask], raster.heights[mask])
-        assert filled.heights.dtype == np.int16
-    assert mask_bytes(mask) > 0

@@ -163,8 +163,9 @@ WAYS = {"netCDF": netcdf, "Zarr": zarr, "GeoTIFF": geotiff}
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize(("dtype", "voids"), CASES)
+@pytest.mark.parametrize(
+    ("dtype", "voids", "packed"), [(*case, i % 2 == 1) for i, case in enumerate(CASES)]
+)
 def test_every_void_and_height_comes_back(tmp_path, dtype, voids, packed):
     tif, valid = raster(tmp_path, dtype, voids=voids, packed=packed)
     terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
