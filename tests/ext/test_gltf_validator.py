@@ -43,8 +43,8 @@ def twz(tmp_path_factory):
 @pytest.mark.parametrize(
     ("ending", "is_draped", "options"),
     [
-        ("glb", True, {}), ("gltf", False, {"skirts": 9.0}), ("gltf", True, {"solid": -99.0}),
-        ("glb", False, {"frame": "ecef"}),
+        ("glb", True, {}), ("gltf", False, {"skirts": 9.0}), ("gltf", False, {"solid": -99.0}),
+        ("glb", True, {"frame": "ecef"}),
     ],
 )  # fmt: skip
 def test_a_set_of_levels_of_detail_is_valid_without_a_message(
