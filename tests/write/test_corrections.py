@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import reference_decoder  # noqa: F401  # with all methods
 from cases import some
 from containers import open_container
 from strategies import terrain_like, write_geotiff
