@@ -11,7 +11,6 @@ from container.toys import (
     toy_file,
     toy_header,
     toy_payload,
-    toy_spools,
 )
 from containers import open_container
 from hypothesis import given, settings
@@ -229,35 +228,3 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
         assert container.payload(loud) == b"loud"
         assert container.payload(Block(9, 0, 0)) == b""
         assert container.segment(Block(6, 0, 0)).page.is_empty
-
-
-def test_a_missing_segment_is_refused(tmp_path):
-    header = toy_header(2000, 1999)
-    spools = toy_spools(header.grid, tmp_path)
-    del spools[Block(2, 1, 1)]
-    with pytest.raises(ValueError, match=r"level 2, row 1, col 1\) is missing"):
-        assembled(header, spools)
-
-
-def test_a_missing_payload_is_refused(tmp_path):
-    header = toy_header()
-    with pytest.raises(ValueError, match="no payload or no codes"):
-        assembled(header, {None: SegmentSpool(SectionFile(tmp_path))})
-
-
-def test_missing_codes_are_refused(tmp_path):
-    spool = SegmentSpool(SectionFile(tmp_path))
-    spool.add(Block(-1, 0, 0), b"x")
-    with pytest.raises(ValueError, match="no payload or no codes"):
-        assembled(toy_header(), {None: spool})
-    spool.set_codes(Block(-1, 0, 0), b"")
-    with pytest.raises(ValueError, match="0 bytes of codes"):
-        assembled(toy_header(), {None: spool})
-
-
-def test_a_payload_of_another_segment_is_refused(tmp_path):
-    header = toy_header(2000, 1999)
-    spools = toy_spools(header.grid, tmp_path)
-    spools[None].add(Block(5, 0, 0), b"x", 0, bytes(16))
-    with pytest.raises(ValueError, match="does not belong"):
-        assembled(header, spools)

@@ -66,24 +66,6 @@ def test_threads_may_add_at_the_same_time(tmp_path):
     assert b"".join(spool.chunks([key(n) for n in range(80)])) == expected
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((key(1), b""), "already been added"),
-        ((key(2), b"", 256), "flags 256"),
-        ((key(2), b"", -1), "flags -1"),
-        ((key(2), b"", 0, b"123"), "3 bytes of codes"),
-        ((key(2), b"", 0, bytes(20)), "20 bytes of codes"),
-        ((Block(-1, 0, 0), b"", 0, bytes(8)), "8 bytes of codes"),
-    ],
-)
-def test_mistakes_of_the_caller_are_value_errors(tmp_path, arguments, message):
-    spool = SegmentSpool(SectionFile(tmp_path))
-    spool.add(key(1), b"")
-    with pytest.raises(ValueError, match=message):
-        spool.add(*arguments)
-
-
 def test_codes_may_come_later_and_again(tmp_path):
     spool = SegmentSpool(SectionFile(tmp_path))
     spool.add(key(1), b"")
