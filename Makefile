@@ -155,9 +155,10 @@ test-compiled: $(VENV)/.installed-dev system
 test-full: $(VENV)/.installed-dev system-full system-native system-nginx system-caddy system-firefox tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "(not kernels or files) and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
-# Less optimised: compiled in three quarters of the time, and the bounds are the same.
+# What plain Python runs, too, has its indices checked there. Less optimised: compiled in three
+# quarters of the time, and the bounds are the same.
 test-bounds: $(VENV)/.installed-dev system
-	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(COMPILED) -m "kernels and not files" --hypothesis-profile=full
+	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(COMPILED) -m "kernels and not files and (large or full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
 	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not (large or full)"

@@ -1,5 +1,6 @@
 """What holds for every test: errors of numpy, examples of hypothesis, markers, no skips in CI."""
 
+import gc
 import importlib.util
 import os
 import shutil
@@ -46,7 +47,7 @@ WITHOUT_KERNELS = {
     "test_cache.py", "test_camera.py", "test_compiler.py", "test_compilers.py", "test_controls.py",
     "test_convert_in_c.py", "test_crew.py", "test_dispatchers.py", "test_docs.py",
     "test_examples.py", "test_extras.py", "test_faults.py", "test_format_example.py",
-    "test_install_lines.py", "test_javascript_kernels.py", "test_jit.py", "test_kernel_cache.py",
+    "test_javascript_kernels.py", "test_jit.py", "test_kernel_cache.py",
     "test_logging.py", "test_masks_in_c.py", "test_mime.py", "test_native.py",
     "test_polynomials.py", "test_pyinstaller.py",
     "test_release.py", "test_types.py", "test_units_in_c.py", "test_wheels.py", "test_window.py",
@@ -63,12 +64,13 @@ OF_FILES = {
     "test_unmeasured.py", "test_voids.py", "test_water.py",
 }  # fmt: skip
 # Tests of the main paths: they run without the native library, and once more with it.
-BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "test_verify.py"}
+BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "verification/test_verify.py"}
 # The longest of all. Then one worker compiles the codecs, while the other one compiles meshes and
 # starts processes: or both would compile the same.
 FIRST = (
-    "test_containers.py", "test_warmup.py", "test_compilers.py", "test_reference_decoder.py", "tri",
-    "coding", "test_extras.py", "test_architecture.py",
+    "test_containers.py", "test_warmup.py", "test_compilers.py", "test_pyinstaller.py",
+    "test_wheels.py", "test_javascript_kernels.py", "test_jupyter.py", "test_types.py",
+    "test_reference_decoder.py", "tri", "coding", "test_extras.py", "test_architecture.py",
 )  # fmt: skip
 
 
@@ -115,9 +117,27 @@ def _lacks_compilers() -> bool:
     return sys.platform != "linux" or has_none
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Look for no cycles while files are imported, nor in what they made: a third of that time."""
+    gc.disable()
+    found = yield
+    gc.freeze()
+    gc.enable()
+    return found
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Import no file of which the marks of test-bounds and test-python leave out all."""
+    if config.getoption("markexpr").startswith("kernels and not"):
+        parts = collection_path.relative_to(TESTS).parts
+        return not (WITHOUT_KERNELS | OF_FILES).isdisjoint(parts) or None
+    return None
+
+
 def pytest_generate_tests(metafunc):
     """Run tests of the main paths both ways."""
-    if Path(metafunc.module.__file__).name in BOTH_WAYS:
+    if Path(metafunc.module.__file__).relative_to(TESTS).as_posix() in BOTH_WAYS:
         metafunc.fixturenames.append("way")
         ways = ["numba", pytest.param("c", marks=pytest.mark.native)]
         metafunc.parametrize("way", ways, indirect=True)

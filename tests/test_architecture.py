@@ -104,6 +104,12 @@ def tree_of(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes_of(path):
+    """Return all nodes of a module; to walk takes longer than to look at them."""
+    return [*ast.walk(tree_of(path))]
+
+
 def modules():
     """Return all modules but the plain decoder, which has the format's names and its own rules."""
     return sorted(path for path in PACKAGE.rglob("*.py") if "reference" not in path.parts)
@@ -116,7 +122,7 @@ def group_of(path):
 
 def imported_groups(path):
     """Yield the groups a module imports, within functions too."""
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "terrainwave":
             parts = node.module.split(".")
             yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
@@ -139,7 +145,7 @@ def test_modules_import_only_what_their_room_may():
 
 def imported_modules(path):
     """Yield the modules of ours that a module imports, as paths; within functions too."""
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "terrainwave":
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Import):
@@ -176,7 +182,7 @@ def test_only_gpu_and_the_viewer_import_opengl():
     allowed = PACKAGE / "render" / "gpu", PACKAGE / "render" / "window" / "viewer.py"
     for path in modules():
         if not any(path.is_relative_to(place) for place in allowed):
-            for node in ast.walk(tree_of(path)):
+            for node in nodes_of(path):
                 found = _imported_libraries(node) & {"moderngl", "moderngl_window", "pyglet"}
                 assert not found, f"{path.relative_to(PACKAGE)}:{node.lineno} imports {found}"
 
@@ -245,11 +251,11 @@ def test_private_attributes_stay_in_their_module():
             "kernel_cache.py",
         ):  # numba's own: they say why
             continue
-        tree = tree_of(path)
-        own = {node.attr for node in ast.walk(tree) if _is_own(node)} | {
-            node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        nodes = nodes_of(path)
+        own = {node.attr for node in nodes if _is_own(node)} | {
+            node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)
         }
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not _is_own(node):
                 is_free = node.attr.startswith("__") or node.attr in allowed | own
                 assert is_free, f"{path.name}:{node.lineno} uses {node.attr}"
@@ -264,9 +270,9 @@ def test_only_the_table_of_methods_knows_them_by_name():
     for path in modules():
         if group_of(path) == "names":
             continue
-        tree = tree_of(path)
-        own = {id(node.value) for node in ast.walk(tree) if _is_name_of_refiner(node)}
-        for node in ast.walk(tree):
+        nodes = nodes_of(path)
+        own = {id(node.value) for node in nodes if _is_name_of_refiner(node)}
+        for node in nodes:
             if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
                 raise AssertionError(f"{path.name}:{node.lineno} has the name {node.value!r}")
 
@@ -285,7 +291,7 @@ def test_few_lines_ask_which_system_they_handle():
         f"{path.relative_to(PACKAGE)}:{node.lineno}"
         for path in modules()
         if not str(path.relative_to(PACKAGE)).startswith(OWN)
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.Attribute) and node.attr in OF_SYSTEMS
         and isinstance(node.ctx, ast.Load)
     }  # fmt: skip
@@ -313,7 +319,7 @@ def test_files_are_opened_only_at_the_edge():
     for path in modules():
         if group_of(path) in MAY_OPEN_FILES:
             continue
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             is_open = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "open"
             assert not is_open, f"{path.name}:{node.lineno} opens a file"
 

@@ -335,6 +335,7 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
     few = "--side 200 --kills 1 --signals 2 --disks 1 --pairs 1 --forks 1 --opens 10".split()
+    few += ["--commands", "compress", "patch", "decompress", "verify", "view"]
     words = ["-m", "faults.run", *few, "--out", tmp_path]
     # Its status is 1 where a trial found a fault.
     python_with(

@@ -120,13 +120,3 @@ def test_nothing_is_printed_and_nothing_changed_unless_asked(twz):
     level = 'assert logging.getLogger("terrainwave").level == logging.NOTSET'
     done = run(READ.replace("CONFIGURE", check) + f"{after}\n{level}\n", twz)
     assert (done.stdout, done.stderr) == ("", "")
-
-
-@pytest.mark.full
-def test_debug_shows_names_of_modules(twz):
-    configure = """
-logging.basicConfig(format="%(name)s %(levelname)s")
-logging.getLogger("terrainwave").setLevel(logging.DEBUG)
-"""
-    done = run(READ.replace("CONFIGURE", configure), twz)
-    assert "terrainwave.read.window_reader DEBUG" in done.stderr.splitlines()

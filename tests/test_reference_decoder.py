@@ -125,7 +125,7 @@ RASTERS = {
 }
 # Their outermost values are heights here.
 VOIDS_OF_INT32 = pytest.mark.filterwarnings("ignore:.*far from all others")
-SMALL = [(1, 1), (1, 9), (5, 5), (2, 34), (33, 34), (1, 70), (70, 3)]
+SMALL = [(1, 1), (33, 34), (1, 9), (70, 3), (5, 5), (2, 34), (1, 70)]
 # Several levels; the finest one's last blocks have only one or two rows and columns. Smaller for
 # methods that take longer here.
 LARGE = {
@@ -168,6 +168,12 @@ def check_same(data):
             np.testing.assert_array_equal(heights, expected)
 
 
+def some_small(name, method):
+    """Return three small shapes, in turns: each method has each, and so has each raster."""
+    first = 3 * [*RASTERS].index(name) + [*LARGE].index(method)
+    return [SMALL[(first + i) % len(SMALL)] for i in range(3)]
+
+
 def check_raster(name, shapes, method, border_rings):
     make, options = RASTERS[name]
     for shape in shapes:
@@ -178,12 +184,12 @@ def check_raster(name, shapes, method, border_rings):
 @VOIDS_OF_INT32
 @pytest.mark.parametrize(("name", "method", "border_rings"), pairs())
 def test_small_rasters_decode_as_format_says(name, method, border_rings):
-    check_raster(name, SMALL, method, border_rings)
+    check_raster(name, some_small(name, method), method, border_rings)
 
 
 @VOIDS_OF_INT32
 @pytest.mark.full
-@pytest.mark.parametrize(("name", "method", "border_rings"), pairs(every=2))
+@pytest.mark.parametrize(("name", "method", "border_rings"), pairs(every=3))
 def test_rasters_of_several_levels_decode_as_format_says(name, method, border_rings):
     check_raster(name, [LARGE[method]], method, border_rings)
 

@@ -236,18 +236,6 @@ def test_a_target_that_is_no_longer_what_was_made_is_done_again(tmp_path, dems):
     assert (out / "a.twz").read_bytes() == whole
 
 
-def test_a_patched_file_is_done_again(tmp_path, dems):
-    out = tmp_path / "out"
-    options = ["--max-error", 0, "--method", "rapid"]
-    batch_of(dems, out, *options)
-    heights = read_geotiff(dems[0])[0]
-    heights[3, 3] = heights[3, 4]
-    write_geotiff(tmp_path / "new.tif", heights)
-    done = run("patch", out / "a.twz", tmp_path / "new.tif")
-    assert done.exit_code == 0, done.stderr
-    assert batch_of(dems, out, *options)[0] == ["compressed", "skipped", "skipped"]
-
-
 def test_a_change_below_two_vrts_is_noticed(tmp_path, dems):
     """GDAL lists the files of a VRT, but not those that its sources are made of."""
     vrt = (

@@ -3,8 +3,6 @@
 import json
 import re
 
-import meshio
-import numpy as np
 import pytest
 import trimesh
 from commands import one_line, run
@@ -88,21 +86,6 @@ def test_options_reach_the_mesh(tmp_path, twz, asked):
         "optimise": 0,
         "guarantee": True,
     }
-
-
-def test_frame_and_z_scale_reach_the_file(tmp_path, twz, asked):
-    target = tmp_path / "a.ply"
-    assert run("mesh", twz, target, "--frame", "local", "--z-scale", "2").exit_code == 0
-    points = meshio.read(target).points
-    assert np.abs(points[:, 0]).max() == pytest.approx(9.5 * 30)
-    assert points[:, 2].max() == pytest.approx(2 * terrain_like(33, 20).max())
-
-
-def test_solid_makes_a_closed_body(tmp_path, twz, asked):
-    assert run("mesh", twz, tmp_path / "a.stl", "--solid", "-50").exit_code == 0
-    body = trimesh.load(tmp_path / "a.stl")
-    assert body.is_watertight
-    assert body.bounds[0][2] == -50
 
 
 def test_levels_of_detail_print_a_row_each(tmp_path, twz):

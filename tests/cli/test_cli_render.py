@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import python, run
+from commands import run
 from render.scenes import hills
 
 from terrainwave.write.compress import compress
@@ -84,15 +84,7 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--bounds", "5,5,1,1"], "left < right", 2),
         (["--coloring", "ground"], "'auto', 'absolute', 'relative'", 2),
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
-        (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
-        (["--order", "3"], "expected 2 or 4", 2),
         (["--tree", "16"], "--tree in mode adaptive, expected mode dynamic", 2),
-        (["--mode", "dynamic", "--tree", "48"], "expected a power of two, 2 … 256", 2),
-        (
-            ["--mode", "batched", "--orientation", "--error", "paper"],
-            "--error 'paper', expected",
-            2,
-        ),
         (["--error", "coefficient"], "found --error 'coefficient' in mode adaptive", 2),
         (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],
@@ -112,15 +104,6 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     assert (tmp_path / "x.png").read_text() == "mine"
     done = run("render", file, tmp_path / "x.png", "--size", "20x20", "--overwrite")
     assert done.exit_code == 0, done.output
-
-
-@pytest.mark.parametrize("library", ["moderngl", "numba", "PIL"])
-def test_help_needs_no_heavy_library(library):
-    code = (
-        "import sys; from click.testing import CliRunner; from terrainwave.cli import main;"
-        f"CliRunner().invoke(main, ['render', '--help']); sys.exit({library!r} in sys.modules)"
-    )
-    assert python(code).returncode == 0
 
 
 # What these modes compile takes long.
@@ -163,11 +146,3 @@ def test_a_raster_without_a_surface_is_one_line(tmp_path, shape):
 def test_a_raster_of_voids_is_one_line(tmp_path):
     status, line = refused(tmp_path, np.full((40, 40), -1))
     assert (status, "voids only" in line) == (1, True)
-
-
-@pytest.mark.parametrize("mode", ["adaptive", "batched", "full"])
-def test_a_picture_of_voids_is_one_line(tmp_path, mode):
-    heights = np.full((40, 40), -1)
-    heights[:9, :9] = 5
-    status, line = refused(tmp_path, heights, "--bounds", "25,25,35,35", "--mode", mode)
-    assert (status, "is void" in line) == (1, True)

@@ -12,7 +12,7 @@ from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
-from terrainwave.errors import InvalidArgumentError, StorageError
+from terrainwave.errors import StorageError
 
 QUICK = ["--method", "store", "--block", 32, "--no-mesh", "--max-error", 1]
 OPTIONS = {"method": "store", "block": 32, "mesh": "none", "max_error": 1}
@@ -76,17 +76,6 @@ def test_the_last_of_several_rasters_is_never_the_target(tmp_path, dems, overwri
     assert f"{dems[n_sources - 1]}: found .tif, expected a name that ends in .twz" in line
     assert "--to DIR" in line
     assert "overwrite" not in line
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["out", "out.vrt", "out.twz.tif", ".twz"])
-def test_compress_writes_no_other_name_than_twz(tmp_path, dems, name):
-    before = contents(tmp_path)
-    assert "expected a name that ends in .twz" in one_line(
-        run("compress", dems[0], tmp_path / name, *QUICK), 2
-    )
-    with pytest.raises(InvalidArgumentError, match=r"ends in \.twz"):
-        terrainwave.compress(dems[0], tmp_path / name, overwrite=True, **OPTIONS)
     assert contents(tmp_path) == before
 
 

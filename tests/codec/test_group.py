@@ -1,7 +1,5 @@
 """One coded unit: masks exact, voids implied, nodata never met by accident, damage survived."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -237,23 +235,6 @@ def test_any_bytes_below_a_parent_with_voids_do_too(method, rest, flags):
     except CorruptStreamError:
         return
     assert not (decoded.mask & implied_voids(spec.region, spec.parent_region, parent.mask)).any()
-
-
-@pytest.mark.parametrize("flags", [4, 7, 8, 16, 0x80, 0xFF])
-def test_reserved_flags_are_rejected(flags):
-    spec, payload = small_unit("store", has_exceptions=False)
-    error = outcome("store", spec, bytes([flags]) + payload[1:])
-    assert "reserved bits" in str(error)
-
-
-def test_an_empty_section_is_rejected():
-    assert "section is empty" in str(outcome("store", root_spec(2, 2), b"\x01\x00"))
-
-
-def test_exceptions_without_collisions_are_rejected():
-    spec, payload = small_unit("store")
-    lenient = dataclasses.replace(spec, forbidden=(0, -1))
-    assert "0 heights equal nodata" in str(outcome("store", lenient, payload))
 
 
 def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():

@@ -9,7 +9,6 @@ from terrainwave.codec.rapid import file_tables as module
 from terrainwave.codec.rapid import fit, fit_weights
 from terrainwave.codec.rapid.file_tables import (
     EXISTS,
-    LEAST,
     NEAR,
     NUMBER_OF_CODE,
     PLANES,
@@ -115,74 +114,6 @@ def test_codes_stand_for_the_numbers_that_the_format_says():
 def refused(tables, words):
     with pytest.raises(CorruptStreamError, match=words):
         tables_of(pack_file_tables(tables), 1)
-
-
-@pytest.mark.parametrize("family", [6, 7])
-def test_a_family_that_does_not_exist_is_refused(family):
-    with pytest.raises(CorruptStreamError, match=f"family {family} .* there are 6"):
-        parse_file_tables(bytes([family << 5]), 1)
-
-
-def with_deltas(deltas):
-    """Return tables whose first stencil of LH has these deltas, but for the missing tap."""
-    plane, plain = PLANES[2], plain_tables(1, 0)
-    deltas = np.array(deltas)
-    deltas[missing_tap(plane)] = 0
-    bad = FileStencil(0, 0, tuple(deltas.tolist()))
-    return plain._replace(stencils=((*plain.stencils[0][:2], bad), *plain.stencils[1:]))
-
-
-@pytest.mark.parametrize("delta", [70_000, 1 << 15])
-def test_a_weight_of_a_stencil_that_is_too_large_is_refused(delta):
-    refused(with_deltas([delta] + [0] * (N_TAPS[PLANES[2]] - 1)), "a weight beyond")
-
-
-def test_a_stencil_of_many_large_weights_is_refused():
-    """None of them is too large alone; their sum is, and sums of heights would pass 31 bits."""
-    signs = np.where(np.arange(N_TAPS[PLANES[2]]) % 2, 1, -1)
-    tables_of(pack_file_tables(with_deltas(8_000 * signs)), 1)
-    refused(with_deltas(15_000 * signs), f"in all, expected at most {MAX_SUM}")
-
-
-@pytest.mark.parametrize("change", [-1, 256])
-def test_a_weight_without_a_code_is_refused(change):
-    tables = plain_tables(1, 0)
-    weights = tables.weights.copy()
-    weights[1, 1, 2] = change
-    refused(tables._replace(weights=weights), "a weight .* has no code")
-
-
-@pytest.mark.parametrize("cut", [61, 63])
-def test_a_cut_beyond_the_classes_is_refused(cut):
-    refused(plain_tables(1, 0)._replace(cut=cut), f"classes below {cut} .* there are 60")
-
-
-def test_a_frequency_without_a_code_is_refused():
-    tables = plain_tables(1, 0)
-    codes = annex().codes[0][3].copy()
-    codes[5] = 256
-    refused(tables._replace(codes={3: codes}), "table 3 has a frequency without a code")
-
-
-@pytest.mark.parametrize("table", [3, SINGLES + 30, ESCAPED])
-def test_frequencies_that_leave_nothing_to_details_of_zero_are_refused(table):
-    codes = np.zeros(N_SYMBOLS, dtype=np.int64)
-    # The largest sum that leaves something, then one more.
-    codes[:4] = codes_of(np.array([2016, 1056, 528, 264]))
-    left = (
-        N_SLOTS
-        - 1
-        - (NUMBER_OF_CODE[codes] + LEAST[table])[np.arange(N_SYMBOLS) != RESTS[table]].sum()
-    )
-    while left > 0:
-        at = int(np.flatnonzero(codes[:30] == 0)[0])
-        codes[at] = min(left, 31)
-        left -= codes[at]
-    tables = plain_tables(1, 0)._replace(cut=10, codes={table: codes})
-    assert freqs_of(codes[None], np.array([table]))[0, RESTS[table]] == 1
-    tables_of(pack_file_tables(tables), 1)
-    codes[29] += 1
-    refused(tables, f"table {table} leave 0 slots")
 
 
 @pytest.mark.large

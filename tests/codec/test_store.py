@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.store.refiner import StoreRefiner
-from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.errors import TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 
 
@@ -104,8 +104,3 @@ def test_every_prefix_is_truncated():
     for length in range(len(PAYLOAD)):
         with pytest.raises(TruncatedStreamError):
             decode(PAYLOAD[:length])
-
-
-def test_more_than_31_bits_are_rejected():
-    with pytest.raises(CorruptStreamError, match="32 bits"):
-        decode(PAYLOAD[:4] + bytes([32]) + PAYLOAD[5:])

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import yaml
-from cases import some
 from commands import environment, python, python_with
 
 from terrainwave.coding.compiled import TRIED
@@ -63,7 +62,7 @@ FAST, PLAIN = ("fast", False, True), ("plain", True, False)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("version", some(["0.64.1", "0.99.0", "0.70.0rc1", "1.0.0", "0.6.8"], 4))
+@pytest.mark.parametrize("version", ["0.64.1", "0.70.0rc1"])
 def test_other_releases_newer_or_older_get_numbas_own_dispatcher_and_one_note(chosen, version):
     found, (note,) = chosen(f"numba.__version__ = {version!r}")
     assert found == PLAIN

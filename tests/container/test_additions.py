@@ -7,8 +7,6 @@ from strategies import terrain_like
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.container.header import KNOWN_FEATURES
-from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
 HEIGHTS = terrain_like(1100, 3, seed=2)  # of several segments
 DATA = twz_bytes(HEIGHTS, max_error=0, method="store", mesh="none")
@@ -25,14 +23,6 @@ def changed(**changes):
     for name, value in changes.items():
         setattr(editor, name, value)
     return editor.bytes()
-
-
-def test_a_feature_bit_that_is_not_known_is_refused():
-    unknown = [bit for bit in range(32) if not KNOWN_FEATURES >> bit & 1]
-    assert len(unknown) == 27
-    for bit in unknown:
-        with pytest.raises(UnsupportedVersionError, match=f"unknown features {1 << bit:#x}: insta"):
-            terrainwave.open(changed(header={"features": 1 << bit}))
 
 
 @pytest.mark.parametrize(
@@ -62,17 +52,3 @@ def test_a_file_that_is_changed_has_no_sections_that_are_not_known(tmp_path):
     terrainwave.store_meshes(path, tmp_path / "b.twz")
     with terrainwave.open(tmp_path / "b.twz") as terrain:
         assert terrain.container.extents.header_size == 128
-
-
-@pytest.mark.parametrize(
-    ("sections", "message"),
-    [
-        (bytes(11), "the head of an optional section is cut short"),
-        (optional_section(b"none", b"content")[:-1], "b'none' reaches beyond the header"),
-        (2 * optional_section(b"none", b"content"), "b'none' comes twice"),
-        (optional_section(b"none", b"content")[:-1] + b"x", "checksum of the .* b'none' is wrong"),
-    ],
-)
-def test_optional_sections_that_contradict_the_format_are_corrupt(sections, message):
-    with pytest.raises(CorruptStreamError, match=message):
-        terrainwave.open(changed(optional=sections))

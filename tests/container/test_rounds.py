@@ -72,17 +72,6 @@ def test_a_local_source_reads_little_that_is_not_wanted(source):
     assert len(source.rounds[1]) == 8 - 2  # a quarter of 480 KiB
 
 
-def test_bytes_that_were_wasted_are_not_wasted_again(source):
-    second = apart(2000 * KIB, 2, 100 * KIB, 160 * KIB)  # 60 KiB between them
-    thrifty, wasteful = RoundReader(source, b""), RoundReader(source, b"")
-    thrifty.fetch([ByteRange(0, 10)])
-    thrifty.fetch(second)
-    assert len(source.rounds[1]) == 1
-    wasteful.fetch([ByteRange(0, 5), ByteRange(50 * KIB, 5)])  # in one request
-    wasteful.fetch(second)
-    assert source.rounds[3] == second
-
-
 def test_missing_parts_lie_before_between_and_after_what_came(source):
     reader = RoundReader(source)
     for first in (500, 2000):  # pieces as long as no gap that is bridged
@@ -93,11 +82,3 @@ def test_missing_parts_lie_before_between_and_after_what_came(source):
     places = ((400, 100), (1600, 400), (3100, 100))
     assert source.rounds[2] == [ByteRange(first * KIB, n * KIB) for first, n in places]
     assert reader.take(wanted) == of_data(wanted)
-
-
-def test_part_of_a_piece_is_taken_and_nothing_of_an_empty_range(source):
-    reader = RoundReader(source, DATA[:6])
-    assert reader.take(ByteRange(1, 4)) == DATA[1:5]
-    assert reader.has(ByteRange(3000 * KIB, 0))
-    assert reader.take(ByteRange(2, 0)) == b""
-    assert not reader.has(ByteRange(5, 2))

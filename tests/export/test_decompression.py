@@ -9,7 +9,7 @@ from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
-from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
+from terrainwave.errors import StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.raster_io.raster_info import RasterInfo
@@ -159,12 +159,6 @@ def test_a_part_that_reaches_beyond_the_raster_is_cut_with_a_warning(
     assert heights.shape == (n_rows, n_cols)
     (note,) = (str(one.message) for one in caught if words in str(one.message))
     assert f"is taken, {n_rows} x {n_cols} samples from row " in note
-
-
-def test_a_part_outside_the_raster_is_refused(files, tmp_path):
-    with pytest.raises(InvalidHeightsError, match="lies outside"):
-        back_from(files, tmp_path, window=(300, 0, 5, 5))
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("n_samples", [1, 64 * 64, 10_000])

@@ -3,7 +3,6 @@
 import base64
 import json
 import re
-import sys
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -19,7 +18,6 @@ from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
     StorageError,
-    TerrainwaveError,
     TerrainwaveWarning,
 )
 from terrainwave.export.frames import areas, steepest, to_frame, vertex_normals
@@ -324,17 +322,6 @@ def test_an_existing_file_is_kept_without_overwrite(tmp_path, suffix):
     assert path.read_bytes() == b"mine"
     save_mesh(utm_mesh(), path, overwrite=True)
     assert path.read_bytes() != b"mine"
-
-
-@pytest.mark.parametrize(("suffix", "package"), [(".ply", "meshio"), (".stl", "trimesh")])
-def test_a_missing_package_is_one_line_that_says_what_to_install(
-    tmp_path, monkeypatch, suffix, package
-):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(TerrainwaveError, match=package) as caught:
-        save_mesh(utm_mesh(), tmp_path / f"area{suffix}")
-    assert 'pip install "terrainwave[mesh]"' in str(caught.value)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):

@@ -1,14 +1,13 @@
 """Frames: metres of degrees, feet, geocentric coordinates; numbers by hand or from geodesy."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
 from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
 
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.place.ellipsoid import EARTH
@@ -92,13 +91,6 @@ MOON = (
     'GEOGCS["Moon 2000",DATUM["D_Moon_2000",SPHEROID["Moon_2000_IAU_IAG",1737400,0]],'
     'PRIMEM["Reference_Meridian",0],UNIT["degree",0.0174532925199433]]'
 )
-
-
-def test_without_pyproj_a_crs_is_one_line_with_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyproj", None)
-    with pytest.raises(TerrainwaveError, match=r'needs pyproj: pip install "terrainwave\[mesh\]"'):
-        to_frame(degrees())
-    assert to_frame(degrees(), "native").n_triangles
 
 
 def test_a_moon_in_degrees_is_scaled_by_its_own_radius():

@@ -20,7 +20,7 @@ ARGUMENTS = (
     "--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
     "--window-size=800,600", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
+    "--ignore-gpu-blocklist", "--disable-features=BackForwardCache",
 )  # fmt: skip
 PATIENCE = 240  # seconds: WebGL runs on the processor, and machines are shared
 
@@ -63,7 +63,7 @@ def wait_until(driver, script):
         found = driver.execute_script(f"return {script}")
         if found:
             return found
-        time.sleep(0.25)
+        time.sleep(0.05)
     raise AssertionError(f"never true: {script}; console: {console(driver)}")
 
 

@@ -4,9 +4,9 @@ import pytest
 from ext.rasters import BOUNDS, hills, write_twz
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def browser():
-    """A headless Chromium."""
+    """A headless Chromium, one for all files: each test opens a page anew."""
     from ext.browser import chromium
 
     with chromium() as driver:

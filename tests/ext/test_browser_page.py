@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return where files are; `slope` is a plane and askew, `strait` lies across 180°."""
+    """Return where files are; `slope` is a plane and askew."""
     folder = tmp_path_factory.mktemp("page")
     write_twz(folder, hills(129, 161) * 4, BOUNDS, max_error=8)
     source = write_twz(folder, hills(97, 97) - 500, (7, 45, 7.4, 45.3), max_error=3, name="moor")
@@ -33,15 +33,12 @@ def folder(tmp_path_factory):
     slope = np.repeat(3000 - 9 * np.arange(300, dtype=np.int16)[:, None], 300, axis=1)
     square = (250000, 6990000, 259000, 6999000)
     write_twz(folder, slope, square, crs="EPSG:32633", max_error=0, name="slope")
-    write_twz(folder, hills(65, 97), (179.6, -17.0, 180.2, -16.6), max_error=1, name="strait")
     return folder
 
 
 @pytest.fixture(scope="module")
 def gate(folder):
-    return Gate(
-        make_app([str(folder / f"{name}.twz") for name in ("hills", "moor", "slope", "strait")])
-    )
+    return Gate(make_app([str(folder / f"{name}.twz") for name in ("hills", "moor", "slope")]))
 
 
 @pytest.fixture(scope="module")
@@ -213,17 +210,6 @@ def test_what_a_file_says_of_its_origin_is_text(page):
     assert driver.execute_script("return window.pwned") is None
     choose(driver, "terrain", "hills")
     assert not driver.find_element("id", "origin").is_displayed()
-
-
-def test_a_terrain_across_180_degrees_is_drawn_on_both_sides(page):
-    driver = page("terrain=strait&view=-16.8,179.9,9,0,0")
-    for longitude in (179.7, 179.95, 180.05, 180.15):
-        asked = f"return terrainMap.queryTerrainElevation([{longitude}, -16.8])"
-        assert 200 < driver.execute_script(asked) < 600
-        place = f"const {{x, y}} = terrainMap.project([{longitude}, -16.8]); return [x, y]"
-        x, y = map(round, driver.execute_script(place))
-        ground = screenshot(driver)[y, x].astype(int) - (0xDB, 0xE4, 0xE8)
-        assert np.abs(ground).max() > 12
 
 
 @pytest.mark.parametrize("pitch", [0, 62])

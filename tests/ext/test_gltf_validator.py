@@ -40,8 +40,13 @@ def twz(tmp_path_factory):
     return write_twz(folder, hills(120, 131) * 4, (8.0, 46.0, 8.3, 46.2), max_error=1, block=32)
 
 
-@pytest.mark.parametrize(("ending", "is_draped"), [("glb", True), ("gltf", False)])
-@pytest.mark.parametrize("options", [{}, {"skirts": 9.0}, {"solid": -99.0}, {"frame": "ecef"}])
+@pytest.mark.parametrize(
+    ("ending", "is_draped", "options"),
+    [
+        ("glb", True, {}), ("gltf", False, {"skirts": 9.0}), ("gltf", False, {"solid": -99.0}),
+        ("glb", True, {"frame": "ecef"}),
+    ],
+)  # fmt: skip
 def test_a_set_of_levels_of_detail_is_valid_without_a_message(
     tmp_path, twz, ending, options, is_draped
 ):

@@ -9,10 +9,7 @@ import tarfile
 from pathlib import Path
 
 import pytest
-from ext.browser import chromium, served
 from ext.rasters import BOUNDS, hills, write_twz
-from fastapi import FastAPI
-from fastapi.staticfiles import StaticFiles
 from golden_files import GOLDEN, digests
 
 import terrainwave
@@ -106,30 +103,6 @@ def test_places_and_errors_are_those_of_python(server, twz):
         assert found["transform"] == pytest.approx(list(terrain.transform_of(0)[:6]), rel=1e-12)
         assert found["maxError"] == terrain.max_error
     assert server.n_bytes < twz.stat().st_size
-
-
-@pytest.mark.large
-def test_a_page_reads_a_window_by_ranges_and_all_of_it_by_workers(twz):
-    app = FastAPI()
-    app.mount("/js", StaticFiles(directory=JS / "src"))
-    app.mount("/data", StaticFiles(directory=twz.parent))
-    script = """
-        const done = arguments[arguments.length - 1];
-        import("/js/index.js").then(async ({ open }) => {
-          const terrain = await open(new URL("/data/hills.twz", document.baseURI));
-          const read = await terrain.read(-1, { row: 7, col: 250, nRows: 40, nCols: 60 });
-          const all = await open("/data/hills.twz", { workers: 2 });
-          const whole = await all.read();
-          await all.close();
-          return [[...read.heights], [...whole.heights]];
-        }).then(done, (error) => done(String(error)));
-    """
-    with served(app) as address, chromium() as driver:
-        driver.get(f"{address}/js/index.js")
-        found = driver.execute_async_script(script)
-    with terrainwave.open(twz) as terrain:
-        assert found[0] == terrain.read((7, 250, 40, 60)).ravel().tolist()
-        assert found[1] == terrain.read().ravel().tolist()
 
 
 def test_the_package_runs_the_example_of_its_readme(twz, tmp_path):

@@ -57,15 +57,21 @@ def heights(twz):
         return terrain.read().ravel().tolist()
 
 
-@pytest.fixture
-def project(tmp_path, twz):
-    """Return the folder of a project that has the package installed, as npm would."""
-    command = ["npm", "pack", "--silent", "--offline", "--pack-destination", str(tmp_path)]
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    """Return the folder of the package as npm unpacks it."""
+    folder = tmp_path_factory.mktemp("package")
+    command = ["npm", "pack", "--silent", "--offline", "--pack-destination", str(folder)]
     packed = run(command, JS).strip()
-    with tarfile.open(tmp_path / packed) as archive:
-        archive.extractall(tmp_path, filter="data")
-    (tmp_path / "node_modules").mkdir()
-    (tmp_path / "package").rename(tmp_path / "node_modules" / "terrainwave")
+    with tarfile.open(folder / packed) as archive:
+        archive.extractall(folder, filter="data")
+    return folder / "package"
+
+
+@pytest.fixture
+def project(tmp_path, package):
+    """Return the folder of a project that has the package installed, as npm would."""
+    shutil.copytree(package, tmp_path / "node_modules" / "terrainwave")
     (tmp_path / "main.js").write_text(MAIN.replace("PACKAGE", "terrainwave"))
     (tmp_path / "index.html").write_text(PAGE.replace("MAIN", "./main.js"))
     (tmp_path / "package.json").write_text('{"name": "project", "type": "module"}')

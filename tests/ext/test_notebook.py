@@ -4,7 +4,6 @@ import base64
 import io
 import re
 
-import numpy as np
 import xarray as xr
 from PIL import Image
 from strategies import terrain_like
@@ -53,10 +52,3 @@ def test_damaged_file_shows_its_table_and_what_is_wrong():
     assert "<img" not in page
     assert "no picture: checksum of the payload" in page
     assert table_of(page)["size"].startswith("40 × 40")
-
-
-def test_to_xarray_reads_windows_of_a_level():
-    with terrainwave.open(bytes_of(terrain_like(150, 90))) as terrain:
-        array = terrain.to_xarray(level=-2)
-        np.testing.assert_array_equal(array[3:9, 20:30], terrain.read((3, 20, 6, 10), level=-2))
-        assert array.name == "heights"

@@ -13,7 +13,6 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
 from commands import start
 from ext.browser import served
 from ext.rasters import BOUNDS, hills, write_twz
@@ -24,7 +23,6 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import minimum_filter
 
 import terrainwave
-from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
@@ -392,12 +390,6 @@ def nowhere(tmp_path_factory):
         raster.write(hills(33, 700), 1)
     terrainwave.compress(folder / "x.tif", folder / "nowhere.twz", block=32)
     return folder / "nowhere.twz"
-
-
-def test_terrain_without_a_place_is_refused(nowhere):
-    found = CliRunner().invoke(main, ["serve", str(nowhere), "--port", "0"], standalone_mode=False)
-    assert isinstance(found.exception, InvalidHeightsError)
-    assert "no place on a globe" in str(found.exception)
 
 
 def test_files_that_cannot_be_served_do_not_stop_the_others(hilly, nowhere, tmp_path):

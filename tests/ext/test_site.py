@@ -1,12 +1,10 @@
 """The page of `terrainwave site` opens and proves what its visitors have, wherever it lies."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 import rasterio
-from commands import run
 from ext.browser import console, screenshot, wait_until
 from ext.rasters import BOUNDS, hills, write_raster, write_twz
 from ext.static_server import static_server
@@ -22,9 +20,9 @@ POLICY = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self';"
     " img-src 'self' data: blob:; connect-src 'self' data:"
 )
+pytestmark = [pytest.mark.full, pytest.mark.gl]
+
 UTM = (250000, 5090000, 259000, 5096000)
-MOST_OF_SAMPLE = 300_000
-SAMPLES = ["aconcagua", "jacksboro", "san-joaquin"]
 
 
 @pytest.fixture(scope="module")
@@ -32,29 +30,6 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site") / "site"
     write_site(folder)
     return folder
-
-
-def test_the_folder_has_a_page_and_three_small_samples(tmp_path):
-    target = tmp_path / "site"
-    result = run("site", target, "--json")
-    assert result.exit_code == 0, result.output
-    samples = json.loads(result.stdout)["samples"]
-    assert [sample["name"] for sample in samples] == SAMPLES
-    assert all(sample["n_bytes"] <= MOST_OF_SAMPLE for sample in samples)
-    for sample in samples:
-        with terrainwave.open(target / sample["file"]) as terrain:
-            assert "public domain" in terrain.info().tags["lic"]
-    described = json.loads((target / "terrains.json").read_text())
-    assert {one["ramp"] for one in described} == {"cividis"}
-    endings = {path.suffix for path in target.rglob("*") if path.is_file()}
-    assert endings <= {".html", ".js", ".css", ".json", ".twz", ".txt", ""}
-    page = (target / "index.html").read_text(encoding="utf-8")
-    assert page.index("Content-Security-Policy") < page.index('<link rel="preload"')
-    assert not re.search(r"<script(?![^>]*src=)|<style|\sstyle=|\son\w+=", page)  # the policy
-    names = re.findall(r'(?:src|href)="([^"#:]+)"', page)
-    assert all((target / name).is_file() for name in names)
-    assert run("site", target).exit_code == 1
-    assert run("site", target, "--overwrite", "-q").exit_code == 0
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +65,7 @@ def page(site, browser):
         assert all(name.startswith(own) for name in browser.execute_script(f"return {names}"))
         browser.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", script)
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
         browser.get("about:blank")
 
 
@@ -135,8 +111,6 @@ def proved(driver):
     return text(driver, "proved")
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_a_dropped_file_is_shown_with_what_it_says(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -162,8 +136,6 @@ def test_a_dropped_file_is_shown_with_what_it_says(page, rasters):
     assert not console(page)
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_a_raster_on_another_crs_lies_on_a_plane(page, rasters):
     page.find_element("id", "file").send_keys(str(rasters / "bare.twz"))
     shown(page, "bare")
@@ -177,8 +149,6 @@ def test_a_raster_on_another_crs_lies_on_a_plane(page, rasters):
     assert (x, y) == pytest.approx((254500, 5093000), abs=100)
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_a_file_with_its_original_is_proved(page, rasters):
     drop(page, rasters / "hills.twz", rasters / "hills.tif")
     assert "all 100,800 samples are within 8 m" in proved(page)
@@ -202,8 +172,6 @@ def test_a_file_with_its_original_is_proved(page, rasters):
     assert not console(page)
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_a_changed_sample_another_raster_and_other_files_are_told_in_words(page, rasters, tmp_path):
     with rasterio.open(rasters / "hills.tif") as raster:
         heights = raster.read(1)
@@ -234,9 +202,7 @@ def test_a_changed_sample_another_raster_and_other_files_are_told_in_words(page,
     assert text(page, "said").startswith("notes.txt cannot be opened as a .twz file: a file of 7")
 
 
-@pytest.mark.full
-@pytest.mark.gl
-def test_a_proof_can_be_cancelled_and_begun_again(page, rasters):
+def test_a_proof_that_was_cancelled_is_begun_again_and_says_nothing_of_the_next_one(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
     unfold(page, "proving")
@@ -244,18 +210,6 @@ def test_a_proof_can_be_cancelled_and_begun_again(page, rasters):
     page.execute_script("for (const id of ['prove', 'cancel']) document.getElementById(id).click()")
     wait_until(page, "document.getElementById('proved').textContent === 'Cancelled.'")
     assert not page.find_element("id", "progress").is_displayed()
-    page.find_element("id", "prove").click()
-    assert proved(page).startswith("Proved")
-    assert not console(page)
-
-
-@pytest.mark.full
-@pytest.mark.gl
-def test_a_proof_that_was_cancelled_says_nothing_of_the_next_one(page, rasters):
-    drop(page, rasters / "hills.twz")
-    shown(page, "hills")
-    unfold(page, "proving")
-    page.find_element("id", "original").send_keys(str(rasters / "hills.tif"))
     page.execute_script(
         "window.said = []; const proved = document.getElementById('proved');"
         "new MutationObserver(() => said.push(proved.textContent))"
@@ -267,8 +221,6 @@ def test_a_proof_that_was_cancelled_says_nothing_of_the_next_one(page, rasters):
     assert not console(page)
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_odd_files_are_opened_one_after_another(page, rasters, tmp_path):
     """Flat terrain, nothing but voids, an address that is none; older terrains open anew."""
     write_twz(tmp_path, hills(129, 161) * 0, BOUNDS, max_error=0, name="flat")
@@ -297,8 +249,6 @@ def test_odd_files_are_opened_one_after_another(page, rasters, tmp_path):
     assert not console(page)
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_the_part_in_view_is_saved(page, rasters, tmp_path):
     page.execute_cdp_cmd(
         "Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)}
@@ -360,8 +310,6 @@ def compare_saved(twz, level, path):
             assert (raster.read(1) == part).all()
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_the_mesh_follows_the_tolerance_and_states_its_error(page, rasters):
     drop(page, rasters / "hills.twz")
     shown(page, "hills")
@@ -391,8 +339,6 @@ def test_the_mesh_follows_the_tolerance_and_states_its_error(page, rasters):
     assert (screenshot(page)[200:, 350:] != with_lines[200:, 350:]).any()
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_a_file_on_another_host_is_opened_by_its_url(site, browser, rasters):
     allowed = {
         "Access-Control-Allow-Origin": "*", "Access-Control-Allow-Headers": "Range",
@@ -417,17 +363,10 @@ def test_a_file_on_another_host_is_opened_by_its_url(site, browser, rasters):
     browser.get("about:blank")
 
 
-@pytest.mark.full
-@pytest.mark.gl
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_fits_a_phone_in_light_and_dark(page, scheme):
+def test_it_fits_a_phone_in_light_and_dark(page):
     page.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",
         {"width": 360, "height": 740, "deviceScaleFactor": 1, "mobile": True},
-    )
-    page.execute_cdp_cmd(
-        "Emulation.setEmulatedMedia",
-        {"features": [{"name": "prefers-color-scheme", "value": scheme}]},
     )
     page.refresh()
     begin(page)
@@ -439,15 +378,20 @@ def test_it_fits_a_phone_in_light_and_dark(page, scheme):
             "const {left, right} = it.getBoundingClientRect(); return [left, right]"
         )
         assert 0 <= box[0] <= box[1] <= 360, name
-    # WCAG 2.2: contrast of text.
-    colors = page.execute_script(
-        "const look = (id) => getComputedStyle(document.getElementById(id));"
-        "return [look('controls').color, look('scale').color, look('panel').backgroundColor]"
-    )
-    *texts, ground = (luminance(color) for color in colors)
-    assert (ground > 0.5) == (scheme == "light")
-    for one in texts:
-        assert (max(one, ground) + 0.05) / (min(one, ground) + 0.05) > 4.5
+    for scheme in ("light", "dark"):
+        page.execute_cdp_cmd(
+            "Emulation.setEmulatedMedia",
+            {"features": [{"name": "prefers-color-scheme", "value": scheme}]},
+        )
+        # WCAG 2.2: contrast of text.
+        colors = page.execute_script(
+            "const look = (id) => getComputedStyle(document.getElementById(id));"
+            "return [look('controls').color, look('scale').color, look('panel').backgroundColor]"
+        )
+        *texts, ground = (luminance(color) for color in colors)
+        assert (ground > 0.5) == (scheme == "light")
+        for one in texts:
+            assert (max(one, ground) + 0.05) / (min(one, ground) + 0.05) > 4.5
 
 
 def luminance(color):
@@ -457,8 +401,6 @@ def luminance(color):
     return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
-@pytest.mark.full
-@pytest.mark.gl
 def test_all_can_be_reached_by_keys_and_has_a_name(page):
     for name in ("facts", "meshing", "saving", "proving"):
         unfold(page, name)
@@ -482,8 +424,6 @@ def test_all_can_be_reached_by_keys_and_has_a_name(page):
     assert sample.get_attribute("aria-pressed") == "true"
 
 
-@pytest.mark.full
-@pytest.mark.gl
 @pytest.mark.firefox
 def test_firefox_opens_and_proves_too(site, rasters):
     from ext.firefox import firefox

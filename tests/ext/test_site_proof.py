@@ -349,17 +349,17 @@ def patch_nodata(path, text):
 
 
 @pytest.mark.parametrize(
-    ("crs", "scale", "heights_are", "is_known"),
+    ("crs", "scale", "heights_are", "is_known", "bound"),
     [
-        ("EPSG:4326", 1, None, True),
-        ("EPSG:4326", -1, None, True),
-        ("EPSG:4326+5715", 1, None, None),
-        ("EPSG:4326", 1, "depth", True),
-        ("EPSG:9883", 1, None, False),
-        ("EPSG:9883", 1, "depth", True),
+        ("EPSG:4326", 1, None, True, "above"),
+        ("EPSG:4326", 1, None, True, "below"),
+        ("EPSG:4326", -1, None, True, "above"),
+        ("EPSG:4326+5715", 1, None, None, "above"),
+        ("EPSG:4326", 1, "depth", True, "below"),
+        ("EPSG:9883", 1, None, False, "above"),
+        ("EPSG:9883", 1, "depth", True, "below"),
     ],
 )
-@pytest.mark.parametrize("bound", ["above", "below"])
 def test_the_side_of_a_bound_is_that_of_verify_or_it_says_that_it_is_not_known(
     tmp_path, crs, scale, heights_are, is_known, bound
 ):

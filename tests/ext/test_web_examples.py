@@ -101,7 +101,7 @@ LINES_OF_THE_MAP = """
 
 @pytest.mark.parametrize(
     "options",
-    [{}, {"encoding": "terrarium", "tile_size": 512, "round_by_zoom": True}, {"image": "png"}],
+    [{}, {"encoding": "terrarium", "tile_size": 512, "round_by_zoom": True, "image": "png"}],
 )
 def test_contours_are_drawn_of_an_archive_whose_heights_a_map_reads_exactly(
     folder, browser, tmp_path, options

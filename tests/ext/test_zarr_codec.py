@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 from strategies import terrain_like
 from zarr.storage import MemoryStore
 
@@ -326,12 +325,18 @@ def test_nodata_of_the_codec_goes_before_the_fill_value():
 
 
 ENTRY = Path(__file__).parents[2] / "zarr" / "codecs" / "terrainwave"
-SCHEMA = Draft202012Validator(json.loads((ENTRY / "schema.json").read_text()))
+
+
+@pytest.fixture(scope="module")
+def schema():
+    from jsonschema import Draft202012Validator  # here: it takes seconds, of each worker
+
+    return Draft202012Validator(json.loads((ENTRY / "schema.json").read_text()))
 
 
 @pytest.mark.parametrize("nodata", [None, -5.0, math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("options", [{}, {"effort": "best", "stable": False}])
-def test_metadata_of_arrays_follow_the_entry_of_the_codec(tmp_path, nodata, options):
+def test_metadata_of_arrays_follow_the_entry_of_the_codec(tmp_path, schema, nodata, options):
     codec = TerrainwaveCodec(max_error=1, nodata=nodata, **options)
     zarr.create_array(
         tmp_path / "a.zarr", shape=(8, 8), dtype="float32", chunks=(8, 8), fill_value=0.0,
@@ -343,16 +348,16 @@ def test_metadata_of_arrays_follow_the_entry_of_the_codec(tmp_path, nodata, opti
 
     text = (tmp_path / "a.zarr" / "zarr.json").read_text()
     (found,) = json.loads(text, parse_constant=refuse)["codecs"]
-    SCHEMA.validate(found)
+    schema.validate(found)
     assert repr(TerrainwaveCodec.from_dict(found)) == repr(codec)
     assert abs(zarr.open_array(tmp_path / "a.zarr")[3, 3] - 1) <= 1
 
 
-def test_the_example_of_the_entry_is_an_array_that_zarr_opens(tmp_path):
+def test_the_example_of_the_entry_is_an_array_that_zarr_opens(tmp_path, schema):
     text = (ENTRY / "README.md").read_text()
     example = re.search(r"```json\n(.*?)```", text, re.DOTALL)[1]
-    SCHEMA.validate(json.loads(example)["codecs"][0])
+    schema.validate(json.loads(example)["codecs"][0])
     (tmp_path / "zarr.json").write_text(example)
     assert zarr.open_array(tmp_path)[0, 0] == -32768
     wrong = {"name": "terrainwave", "configuration": {"max_error": 1, "other": 2}}
-    assert not SCHEMA.is_valid(wrong)
+    assert not schema.is_valid(wrong)

@@ -201,7 +201,7 @@ def test_the_domain_of_the_format_tells_root_side_and_a_missing_proof(folder):
     assert not {"ROOT", "BOUND"} & set(own)
 
 
-@pytest.fixture(scope="module", params=["cdf53", "cdf97", "predictive", "rapid", "store"])
+@pytest.fixture(scope="module", params=["cdf97", "rapid"])
 def rough(request, folder):
     """Lossless and lossy files of a method, of rough heights with voids, and those heights."""
     y, x = np.mgrid[0:300, 0:280]
@@ -240,7 +240,7 @@ print(json.dumps(found))
 
 def test_each_level_states_a_bound_that_holds_for_its_samples(rough):
     method, heights, paths = rough
-    is_nested, excesses = method not in ("cdf53", "cdf97"), []
+    is_nested, excesses = method == "rapid", []
     for path, level, own, structure in by_python(BOUNDS, list(map(str, paths.values()))):
         bound = float(own["MAX_ERROR"])
         with terrainwave.open(path) as terrain:
@@ -259,7 +259,7 @@ def test_each_level_states_a_bound_that_holds_for_its_samples(rough):
     assert is_nested == (max(excesses) <= 0)
 
 
-@pytest.mark.parametrize("method", ["cdf97", "predictive", "rapid", "store"])
+@pytest.mark.parametrize("method", ["cdf97", "rapid"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_levels_of_exact_floats_on_no_grid_state_what_rounding_leaves(folder, method, dtype):
     y, x = np.mgrid[0:140, 0:130]
@@ -290,7 +290,7 @@ print(json.dumps([dataset.GetMetadataItem("MAX_ERROR", "TERRAINWAVE"),
     path = paths[3]
     with SlowServer(path.parent, latency=0.001, bits_per_second=0) as server:
         told = by_python(code, server.url(path.name), GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR")
-    assert told == ([None, None] if method in ("cdf53", "cdf97") else ["3", "LOSSY"])
+    assert told == ([None, None] if method == "cdf97" else ["3", "LOSSY"])
 
 
 OVERVIEW_LEVEL = """
@@ -455,9 +455,9 @@ print(json.dumps([before, [after.ReadAsArray().shape, after.GetRasterBand(1).Dat
 @pytest.fixture(scope="module")
 def twins(folder):
     """Two files of one size and the same first 16 KiB, and their heights, one of which differs."""
-    heights = np.random.default_rng(1).integers(0, 30_000, (3600, 3600), dtype=np.int16)
+    heights = np.random.default_rng(1).integers(0, 30_000, (3600, 2700), dtype=np.int16)
     other = heights.copy()
-    other[3501, 3501] ^= 1
+    other[3501, 2681] ^= 1
     paths = [folder / "twin-a.twz", folder / "twin-b.twz"]
     for path, values in zip(paths, (heights, other), strict=True):
         path.write_bytes(
@@ -468,7 +468,7 @@ def twins(folder):
     one, two = (path.read_bytes() for path in paths)
     assert len(one) == len(two)
     assert one[: 16 << 10] == two[: 16 << 10]
-    return paths, (int(heights[3501, 3501]), int(other[3501, 3501]))
+    return paths, (int(heights[3501, 2681]), int(other[3501, 2681]))
 
 
 TWINS = """
@@ -489,7 +489,7 @@ kept, found = [], []
 for source in (one, other, one):
     put(source)
     kept.append(gdal.Open(name))
-    found.append(int(kept[-1].ReadAsArray()[3501, 3501]))
+    found.append(int(kept[-1].ReadAsArray()[3501, 2681]))
 print(json.dumps(found))
 """
 
@@ -500,27 +500,6 @@ def test_files_of_equal_size_time_and_beginning_are_told_apart(twins, folder, wa
     name = "/vsimem/twin.twz" if way == "memory" else str(folder / f"{way}.twz")
     found = by_python(TWINS, [str(one), str(other), name, way])
     assert found == [expected[0], expected[1], expected[0]]
-
-
-def test_rasterio_of_the_system_reads_the_same(kinds, folder):
-    code = """
-import rasterio
-with rasterio.open(asked[0]) as dataset:
-    assert dataset.driver == "TWZ"
-    np.savez(asked[1], heights=dataset.read(1), mask=dataset.read_masks(1),
-             small=dataset.read(1, out_shape=(100, 90)))
-    print(json.dumps([dataset.overviews(1), dataset.crs.to_epsg()]))
-"""
-    path = kinds["uint8-mask"]
-    overviews, epsg = by_python(code, [str(path), str(folder / "rasterio.npz")])
-    found = np.load(folder / "rasterio.npz")
-    with terrainwave.open(path) as terrain:
-        heights, valid = terrain.read_with_mask()
-        np.testing.assert_array_equal(found["heights"], heights)
-        np.testing.assert_array_equal(found["mask"] > 0, valid)
-        with rasterio.open(terrain.geotiff()) as dataset:
-            np.testing.assert_array_equal(found["small"], dataset.read(1, out_shape=(100, 90)))
-    assert (overviews, epsg) == ([2, 4], 32632) or overviews == [2]
 
 
 PROFILES = """
@@ -543,7 +522,7 @@ print(json.dumps(found))
 """
 
 
-@pytest.mark.parametrize("method", ["cdf53", "cdf97", "predictive", "rapid", "store"])
+@pytest.mark.parametrize("method", ["cdf53", "rapid"])
 def test_profiles_and_merges_of_the_systems_rasterio_work(described, folder, method):
     """Rasterio 1.3 raises for a compression that is not one of GeoTIFF's."""
     path = write_kind(folder, "uint8-mask", method=method)
@@ -699,25 +678,6 @@ def test_a_vrt_of_a_level_works_from_any_folder_and_moves_with_its_file(moved, n
     assert by_python(READ_ALL, [str(folder / f"{name}.vrt")]) == [heights]
 
 
-def test_a_file_that_is_there_survives_an_attempt_to_write_it(kinds, folder):
-    path = folder / "kept.twz"
-    shutil.copy(kinds["int16-none"], path)
-    code = """
-told = []
-driver = gdal.GetDriverByName("TWZ")
-for make, what in ((driver.Create, (5, 5)), (driver.CreateCopy, [gdal.Open(asked)])):
-    try:
-        make(asked, *what)
-    except RuntimeError as error:
-        told.append(str(error))
-print(json.dumps(told))
-"""
-    told = by_python(code, str(path))
-    assert len(told) == 2
-    assert all("terrainwave compress" in line for line in told)
-    assert path.read_bytes() == kinds["int16-none"].read_bytes()
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -748,7 +708,7 @@ def test_commands_that_would_write_name_the_one_that_does(kinds, folder, command
 
 def test_an_invalid_file_is_one_error_line_at_most(folder):
     """Of those that only readers of meshes find wrong nothing may be said. `ctest` reads all."""
-    for path in sorted((GOLDEN / "invalid").glob("*.twz"))[::3]:
+    for path in sorted((GOLDEN / "invalid").glob("*.twz"))[::6]:
         ended = run("gdal_translate", "-q", "-of", "ENVI", path, folder / "invalid.raw")
         assert ended.returncode in (0, 1), ended.stderr
         lines = error_lines(ended)

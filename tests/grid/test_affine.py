@@ -47,14 +47,6 @@ def test_samples_on_whole_metres_come_back_whole(transform):
     np.testing.assert_array_equal(found, (rows, cols))
 
 
-def test_by_the_inverse_of_the_affine_package_they_would_not():
-    # Why the module does without it; should that change, use it.
-    rows = np.arange(40000.0)
-    x, y = samples_to_places(NORTH_UP, rows, rows)
-    _, _, _, d, e, f = tuple(~library.Affine(*NORTH_UP))[:6]
-    assert (d * x + e * y + f - 0.5 != rows).mean() > 0.5
-
-
 def test_the_first_sample_of_every_level_lies_in_one_place():
     place = samples_to_places(TURNED, 0.0, 0.0)
     assert place == (1000 + 8 / 2 + 6 / 2, 2000 + 6 / 2 - 8 / 2)

@@ -37,13 +37,6 @@ def test_k_max_is_the_smallest_with_one_root(n_rows, n_cols, block, k_max):
     assert Grid(n_rows, n_cols, block).k_max == k_max
 
 
-@given(grids)
-def test_level_0_is_one_block_and_level_1_has_more(grid):
-    assert grid.blocks(0) == [Block(0, 0, 0)]
-    if grid.k_max > 0:
-        assert max(grid.level_blocks(1)) == 2
-
-
 def test_a_strip_does_not_pad_to_a_square():
     grid = Grid(100_000, 500, 256)
     assert grid.k_max == 9
@@ -176,13 +169,6 @@ def test_every_group_knows_the_head_of_its_segment(grid):
 
 
 @given(grids)
-def test_segments_hang_below_one_another_without_loss(grid):
-    heads = list(grid.segment_heads())
-    below = [child for head in heads for child in grid.segment_children(head)]
-    assert sorted(below) == sorted(heads[1:])
-
-
-@given(grids)
 def test_groups_of_a_segment_are_in_file_order(grid):
     for head in grid.segment_heads():
         order = [(g.level, morton(g.row, g.col)) for g in grid.segment_groups(head)]
@@ -195,12 +181,6 @@ def test_segments_are_in_file_order(grid):
     assert heads[0] is None
     order = [(head.level, morton(head.row, head.col)) for head in heads[1:]]
     assert order == sorted(order)
-
-
-@given(grids)
-def test_a_segment_below_the_top_one_has_at_most_85_groups(grid):
-    for head in list(grid.segment_heads())[1:]:
-        assert len(grid.segment_groups(head)) <= 85  # 1 + 4 + 16 + 64
 
 
 def cells(region):

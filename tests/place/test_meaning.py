@@ -264,34 +264,6 @@ def both(tmp_path):
     return down, write(tmp_path / "up.tif", DEPTHS)
 
 
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_a_mosaic_of_depths_and_heights_is_refused_unless_told(both, tmp_path, order):
-    sources = [both[place] for place in order]
-    with pytest.raises(
-        InvalidHeightsError,
-        match=r"found (depths \(.*down\)|heights), .* has (heights|depths)",
-    ):
-        made(sources, tmp_path)
-    path, _ = made(sources, tmp_path, heights_are="depth")
-    with terrainwave.open(path) as terrain:
-        assert terrain.info().heights_are == "depth"
-
-
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_patch_and_verify_refuse_the_other_sign(both, tmp_path, order):
-    own, other = (both[place] for place in order)
-    path, _ = made(own, tmp_path)
-    with pytest.raises(InvalidHeightsError, match=r"found (depths|heights).*, the file has"):
-        terrainwave.patch(path, other)
-    with pytest.raises(InvalidHeightsError, match=r"found (depths|heights).*, the file has"):
-        terrainwave.patch(path, own, original=other)
-    report = terrainwave.verify(path, other)
-    assert not report.ok
-    assert any("numbers mean something else: found" in problem for problem in report.problems)
-    assert terrainwave.verify(path, own).ok
-    assert terrainwave.patch(path, own).n_recoded == 0
-
-
 def test_a_file_that_was_told_is_verified_and_patched_by_its_own_raster(both, tmp_path):
     for source, asked in zip(both, ("height", "depth"), strict=True):
         path, _ = made(source, tmp_path, heights_are=asked)
@@ -447,19 +419,21 @@ def as_twz(path, **options):
 
 
 @pytest.mark.parametrize(
-    ("other", "order", "opened_as"),
+    ("kinds", "opened_as"),
     [
-        ("heights", (0, 1), str),
-        ("heights", (1, 0), rasterio.open),
-        ("heights", (0, 1), as_twz),
-        ("depths", (0, 1), str),
-        ("depths", (1, 0), as_twz),
-        ("zeros between", (1, 0), str),
+        (("radii", "heights"), str),
+        (("heights", "radii"), rasterio.open),
+        (("radii", "heights"), as_twz),
+        (("radii", "depths"), str),
+        (("depths", "radii"), as_twz),
+        (("zeros between", "radii"), str),
+        (("depths", "heights"), str),
+        (("heights", "depths"), str),
     ],
 )
-def test_a_mosaic_of_radii_and_others_is_refused_unless_told(tmp_path, other, order, opened_as):
-    pair = [moon(tmp_path / "r.tif", "radii"), moon(tmp_path / "o.tif", other, col=N)]
-    sources = [opened_as(pair[place]) for place in order]
+def test_a_mosaic_of_several_kinds_is_refused_unless_told(tmp_path, kinds, opened_as):
+    pair = [moon(tmp_path / f"{kind}.tif", kind, col=N * i) for i, kind in enumerate(kinds)]
+    sources = [opened_as(path) for path in pair]
     with pytest.raises(InvalidHeightsError, match=r"found (radii|heights|depths).*, .* has "):
         made(sources, tmp_path)
     path, _ = made(sources, tmp_path, heights_are="height")
@@ -478,9 +452,11 @@ def test_a_mosaic_of_radii_and_others_is_refused_unless_told(tmp_path, other, or
         ("heights", "radii", rasterio.open),
         ("heights", "radii", as_array),
         ("depths", "radii", as_labelled),
+        ("depths", "heights", str),
+        ("heights", "depths", str),
     ],
 )
-def test_patch_and_verify_refuse_radii_beside_others(tmp_path, own, other, opened_as):
+def test_patch_and_verify_refuse_another_kind(tmp_path, own, other, opened_as):
     source, newer = moon(tmp_path / "own.tif", own), moon(tmp_path / "other.tif", other)
     path, _ = made(source, tmp_path, **WIDE)
     with pytest.raises(InvalidHeightsError, match=r"found (radii|heights|depths).*, the file has"):

@@ -421,14 +421,6 @@ def test_open_dataset_is_read_and_left_open(tmp_path):
         RasterSource(dataset)
 
 
-def test_text_file_is_no_raster(tmp_path):
-    path = tmp_path / "notes.tif"
-    path.write_text("not a raster at all", encoding="utf-8")
-    with pytest.raises(StorageError, match="not a raster that GDAL can read") as error:
-        RasterSource(path)
-    assert "\n" not in str(error.value)
-
-
 def test_unreadable_window_names_rows_and_columns(tmp_path):
     heights = np.random.default_rng(0).integers(0, 9999, (300, 300)).astype("int16")
     path = write_geotiff(tmp_path / "a.tif", heights, compress="DEFLATE", blockysize=10)
@@ -441,16 +433,6 @@ def test_unreadable_window_names_rows_and_columns(tmp_path):
         pytest.raises(StorageError, match="rows 0 to 299, columns 0 to 299 cannot be read"),
     ):
         read_all(source)
-
-
-def test_window_past_the_end_of_a_cut_file_is_unreadable(tmp_path):
-    heights = np.random.default_rng(0).integers(0, 9999, (300, 300)).astype("int16")
-    path = write_geotiff(tmp_path / "a.tif", heights, blockysize=10)
-    path.write_bytes(path.read_bytes()[:-50_000])
-    with RasterSource(path) as source:
-        source.read(0, 0, 10, 300)
-        with pytest.raises(StorageError, match="rows 290 to 299"):
-            source.read(290, 0, 10, 300)
 
 
 @pytest.mark.parametrize("nodata", [None, -9999, -9999.5, math.nan, math.inf, -math.inf])
@@ -503,22 +485,6 @@ def test_crs_from_a_file_fetches_no_url():
             parse_crs(f"http://127.0.0.1:{server.server_address[1]}/crs")
         server.handle_request()
     assert not requests
-
-
-@pytest.mark.parametrize("cog", [False, True])
-def test_interrupted_writing_leaves_the_target_as_it_was(tmp_path, cog):
-    path = tmp_path / "a.tif"
-    path.write_bytes(b"mine")
-
-    def write_and_stop():
-        with RasterSink(path, RasterInfo(2, 2, "int16"), overwrite=True, cog=cog) as sink:
-            sink.write(0, 0, np.zeros((2, 2), "int16"), np.ones((2, 2), bool))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_and_stop()
-    assert path.read_bytes() == b"mine"
-    assert file_names(tmp_path) == ["a.tif"]
 
 
 @pytest.mark.parametrize("takes_more", [True, False])

@@ -1,6 +1,6 @@
 """Does the native library read what terrainwave reads itself, and is it used where it fits alone?
 
-Those marked `native` use the library beside the package, and build it first where that is not done.
+They use the library beside the package, and build it first where that is not done.
 """
 
 import json
@@ -33,6 +33,8 @@ from terrainwave.errors import (
 from terrainwave.file import TerrainFile
 from terrainwave.read import native
 from terrainwave.read.decoder import TreeDecoder
+
+pytestmark = [pytest.mark.native, pytest.mark.full]
 
 MANIFEST = json.loads((GOLDEN / "v2" / "manifest.json").read_text(encoding="utf-8"))
 FILES = sorted(MANIFEST["files"])
@@ -83,8 +85,6 @@ def outcome(read, *arguments, **options):
     return parts, [str(warning.message) for warning in told]
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.parametrize("name", FILES)
 def test_golden_files_decode_to_what_they_always_did(name, with_library, alone):
     with terrainwave.open(GOLDEN / "v2" / name, threads=1) as terrain:
@@ -93,8 +93,6 @@ def test_golden_files_decode_to_what_they_always_did(name, with_library, alone):
             assert found == {key: expected[key] for key in found}
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.parametrize("name", FILES)
 def test_windows_and_samples_are_the_same(name, with_library):
     rng = np.random.default_rng(1)
@@ -116,8 +114,6 @@ def test_windows_and_samples_are_the_same(name, with_library):
             assert outcome(one.read, **asked) == outcome(other.read, **asked)
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "cdf53", "store"])
 def test_large_windows_are_read_in_parts(method, with_library, alone, monkeypatch):
     rings = {"border_rings": 3} if method == "cdf97" else {}
@@ -144,8 +140,6 @@ def test_large_windows_are_read_in_parts(method, with_library, alone, monkeypatc
             assert len(counts) > 5 if most > 1 else len(counts) > 20  # of the finest level
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_payloads_take_as_many_requests(with_library, tmp_path):
     class Counting(FileSource):
         n_requests = 0
@@ -181,8 +175,6 @@ def points_of(terrain, n, seed):
     return rows, cols
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "cdf53", "store"])
 @pytest.mark.parametrize("dtype", [np.int16, np.float32])
 def test_heights_at_points_are_equal_to_the_last_bit(method, dtype, with_library, monkeypatch):
@@ -203,8 +195,6 @@ def test_heights_at_points_are_equal_to_the_last_bit(method, dtype, with_library
                 assert 0 < np.isnan(expected).sum() < expected.size
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypatch):
     class Counting(FileSource):
         n_bytes = 0
@@ -236,8 +226,6 @@ def test_points_decode_and_fetch_each_unit_once(with_library, tmp_path, monkeypa
             assert len(finest) == len(set(finest)) > 10
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_invalid_files_are_refused_in_the_same_words(with_library):
     for name in sorted(MANIFEST["invalid"]):
         data = (GOLDEN / "v2" / "invalid" / name).read_bytes()
@@ -252,8 +240,6 @@ def test_invalid_files_are_refused_in_the_same_words(with_library):
         assert outcome(everything, data, False) == outcome(everything, data, True), name
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.parametrize("method", ["rapid", "store"])
 def test_damage_is_told_and_masked_the_same(method, with_library):
     data = twz_bytes(HEIGHTS, max_error=1, nodata=NODATA, method=method, block=32)
@@ -272,8 +258,6 @@ def test_damage_is_told_and_masked_the_same(method, with_library):
     assert n_errors > 5
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32)
     monkeypatch.setattr(
@@ -291,8 +275,6 @@ def test_a_refusal_of_a_sound_file_is_told(with_library, monkeypatch):
     assert np.array_equal(heights, HEIGHTS)
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_many_threads_read_one_file_which_is_closed_meanwhile(with_library, alone):
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="rapid", block=32)
     with terrainwave.open(data, threads=3, cache_bytes=1 << 18) as terrain:
@@ -324,8 +306,6 @@ def test_many_threads_read_one_file_which_is_closed_meanwhile(with_library, alon
         terrain._windows._native.window(0, terrain.region((0, 0, 5, 5), level=0), is_own=True)
 
 
-@pytest.mark.native
-@pytest.mark.full
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_children_of_a_fork_read_on(with_library, alone):
     data = twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="rapid", block=32)
@@ -340,8 +320,6 @@ def test_children_of_a_fork_read_on(with_library, alone):
         assert np.array_equal(terrain.read(), HEIGHTS)
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_a_first_read_imports_no_compiler(library):
     code = (
         "import sys, terrainwave\n"
@@ -358,8 +336,6 @@ def test_a_first_read_imports_no_compiler(library):
         assert run.stdout.strip() == imported
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_an_argument_and_the_environment_turn_it_off(with_library, monkeypatch, tmp_path):
     path = tmp_path / "a.twz"
     path.write_bytes(twz_bytes(HEIGHTS, max_error=0, nodata=NODATA, method="store", block=32))
@@ -402,8 +378,6 @@ def warned_once():
     return note
 
 
-@pytest.mark.native
-@pytest.mark.full
 def test_another_library_is_told_once_and_not_used(tmp_path):
     source, made = tmp_path / "other.c", tmp_path / "other.so"
     source.write_text("int other(void) { return 1; }\n")

@@ -51,8 +51,9 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
         assert len(counts) > 4
 
 
-@pytest.mark.parametrize("n_cols", [209, 213, 216])  # where coarse levels end short of it
-@pytest.mark.parametrize("error", ["measured", "paper"])
+@pytest.mark.parametrize(  # where coarse levels end short of it
+    ("n_cols", "error"), [(209, "measured"), (213, "paper"), (216, "measured"), (216, "paper")]
+)
 @pytest.mark.parametrize("mode", MODES)
 def test_the_terrain_reaches_its_outline_and_no_further(
     context, small_patches, mode, error, n_cols

@@ -19,7 +19,7 @@ from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.modes.bounded import MORPH_START
 from terrainwave.render.paging.motion import AHEAD, Motion
 from terrainwave.render.paging.scene import Scene
-from terrainwave.render.scene.camera import Camera, Viewport, fly, focal_length, home, look, project
+from terrainwave.render.scene.camera import Camera, Viewport, fly, home, look, project
 from terrainwave.render.scene.selection import Piece
 
 pytestmark = pytest.mark.large
@@ -95,39 +95,6 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert n_coarse > 5
     assert n_morphed > 0
     assert (worst > 1.1) == (options.get("mode") == "loose")
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("mode", ["adaptive", "batched"])
-def test_a_flat_raster_is_shown_by_a_sample_for_each_pixel_and_within_tau(mode):
-    heights = np.round(hills(600, 800, 5, 8.0)).astype(np.int16)
-    valid, viewport = np.ones(heights.shape, dtype=bool), Viewport(200, 140)
-    with (
-        terrain_of(heights, max_error=0, block=32) as terrain,
-        Scene(terrain, ListStore(), mode=mode) as scene,
-    ):
-        finest, levels = terrain.n_levels - 1, []
-        whole = home(scene.frame.box, viewport)
-        near = replace(whole, position=tuple(np.multiply(whole.position, (0.4, 0.4, 0.4))))
-        for camera in (whole, near):
-            view = scene.view(camera, viewport, 0.5)
-            assert view.flatness > 10
-            frames = scene.settle(view)
-            assert frames.tau == pytest.approx(0.5)
-            pieces = [scene.table.pieces[node] for node in frames.nodes]
-            levels.append({piece.level for piece in pieces})
-            spacings = [terrain.grid.stride(piece.level) * scene.frame.spacing for piece in pieces]
-            pixels = np.array(spacings) * focal_length(camera, viewport) / frames.distances
-            on_screen = scene.table.on_screen(view, frames.nodes)
-            is_finest = np.array([piece.level == finest for piece in pieces])
-            assert (is_finest | (pixels <= 1) | (on_screen <= view.max_pixel_error)).all()
-            assert (on_screen <= 0.5).all()
-            if mode == "adaptive":
-                for rows, cols, z in drawn_heights(scene, frames, heights.shape):
-                    apart = apart_on_screen(view, scene, heights, valid, rows, cols, z)
-                    assert apart.max(initial=0) <= 0.5 + 1e-3
-    assert max(levels[0]) < finest
-    assert max(levels[1]) == finest
 
 
 def test_paper_errors_follow_equations_2_and_3():

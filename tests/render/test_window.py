@@ -116,8 +116,7 @@ def test_without_a_display_one_line_names_render_and_what_to_install(file):
     assert "apt-get install" in lines[0]
 
 
-@pytest.mark.parametrize("mode", ["adaptive", "batched"])
-def test_drawing_for_long_keeps_memory_flat(file, mode):
+def test_drawing_for_long_keeps_memory_flat(file):
     """1000 frames with paging leave at most 20 MiB, less than a third of their pictures.
 
     The software renderer keeps and frees up to 70 MiB between frames, so the least of ten
@@ -133,7 +132,7 @@ from terrainwave.render.gpu.canvas import Canvas
 from terrainwave.render.look.style import Style
 sizes, drops = [], []
 with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
-    with Canvas(terrain, (160, 120), samples=0, max_bytes=64 << 20, mode={mode!r}) as canvas:
+    with Canvas(terrain, (160, 120), samples=0, max_bytes=64 << 20) as canvas:
         store, scene = canvas.store, canvas.scene
         layers, drop = store.layers, store.drop
         layers.max_layers, layers._free = 24, Arena(24)

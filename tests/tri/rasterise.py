@@ -102,16 +102,6 @@ def _check_points_between(points, triangles, wanted):
         assert n_inside == 1, f"{n_inside} triangles over a point of {t}"
 
 
-def border_edges(mesh):
-    """Return the edges used once, as pairs of (row, col)."""
-    used = Counter()
-    for t in mesh.triangles.tolist():
-        used.update(((t[0], t[1]), (t[1], t[2]), (t[2], t[0])))
-    assert max(used.values(), default=0) <= 1, "an edge is used twice in one direction"
-    at = [(int(r), int(c)) for r, c in zip(mesh.rows, mesh.cols, strict=True)]
-    return {(at[a], at[b]) for a, b in used if (b, a) not in used}
-
-
 def _check_edges(points, triangles, mask):
     used = Counter()
     for t in triangles:

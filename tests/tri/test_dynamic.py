@@ -212,20 +212,6 @@ def test_no_sample_is_further_than_tau_on_screen(shape, patch, has_void, morph):
     assert coarsest > 1
 
 
-@pytest.mark.large
-@pytest.mark.parametrize("morph", [1.0, 1.3])
-def test_no_sample_of_a_larger_raster_is_further_than_tau_on_screen(morph):
-    shape = (128, 128)
-    heights, mask = 3 * rough(shape), np.ones(shape, dtype=bool)
-    heights[40:90, 30:60] = 10.0
-    mask[60:64, 70:75] = False
-    mesh = DynamicMesh(heights, mask=mask, sample_matrix=NORTH_UP, patch=64)
-    for camera in cameras(shape, 4, seed=4):
-        frame = mesh.update(eye_of(camera, z_scale=1.5), 2.5, morph=morph)
-        errors = pixel_errors(frame, heights, mask, camera, z_scale=1.5, every=37)
-        assert errors.max(initial=0) <= 2.5
-
-
 def open_edges(frame):
     """Edges of one triangle, each from its smaller vertex."""
     of = frame.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)

@@ -181,16 +181,6 @@ def test_stored_meshes_leave_digests_as_they_are(tmp_path, raster):
     assert digest_of(tmp_path / "b.twz") == digest_of(tmp_path / "a.twz")
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("block", [32, 1024])
-def test_the_root_is_checked_in_blocks_of_any_size(tmp_path, raster, block):
-    tw.compress(raster, tmp_path / "a.twz", **OPTIONS | {"block": block, "digest": False})
-    tw.compress(raster, tmp_path / "b.twz", **OPTIONS)
-    root = digest_of(tmp_path / "b.twz")
-    assert tw.verify(tmp_path / "a.twz", root=root).ok
-    assert not tw.verify(tmp_path / "a.twz", root=root[::-1]).ok
-
-
 def altered(tmp_path, *, has_new_digests):
     """Return a file of other heights than it was made of, with checksums that match."""
     heights = terrain_like(700, 20, seed=2)
@@ -220,17 +210,6 @@ def test_heights_with_digests_of_their_own_are_found_by_the_root_only(tmp_path):
     assert tw.verify(path).ok
     (problem,) = tw.verify(path, root=root.upper()).problems
     assert problem.endswith(f"expected {root}")
-
-
-@pytest.mark.full
-def test_another_place_is_found_by_the_root(tmp_path, raster):
-    tw.compress(raster, tmp_path / "a.twz", **OPTIONS)
-    root = digest_of(tmp_path / "a.twz")
-    editor = Editor((tmp_path / "a.twz").read_bytes())
-    editor.set_json(crs="EPSG:32612")
-    (tmp_path / "a.twz").write_bytes(editor.bytes())
-    assert tw.verify(tmp_path / "a.twz").ok
-    assert not tw.verify(tmp_path / "a.twz", root=root).ok
 
 
 @pytest.mark.parametrize("root", ["", "12", "g" * 64, 5])

@@ -16,15 +16,10 @@ from terrainwave.write.compress_options import Options
     ("options", "message"),
     [
         ({"max_error": -1}, "found max_error -1, expected a finite number >= 0"),
-        ({"mesh_error": "a"}, "found mesh_error 'a', expected a finite number >= 0"),
-        ({"max_error": "2"}, "found max_error the text '2', expected a finite number >= 0"),
         ({"method": "zip"}, "found method 'zip', expected one of auto, rapid, predictive"),
         ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
-        ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
         ({"method": Cdf97}, "expected a name, such as 'rapid', or options of a method, such as tw"),
-        ({"method": 5}, "found method 5, expected a name"),
         ({"mesh": Zerotree}, "expected a name, such as 'halves', or options of a kind of meshes"),
-        ({"mesh": "rtin"}, "found mesh 'rtin'"),
         ({"mesh": Zerotree(labels="coded"), "method": "cdf97"}, "found labels=coded for a file"),
         (
             {"mesh": Rqt(select="coefficient")},

@@ -127,16 +127,6 @@ def placed(tmp_path):
     return make
 
 
-def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
-    placed = placed(0)
-    part_of(changed(HEIGHTS), tmp_path / "new.tif", 30, 5, 80, 70)
-    result = patch(placed, tmp_path / "new.tif")
-    assert result.n_recoded > 0
-    write_geotiff(tmp_path / "all.tif", changed(HEIGHTS), transform=TRANSFORM, crs="EPSG:32610")
-    report = terrainwave.verify(placed, tmp_path / "all.tif", mesh=True)
-    assert report.ok, report
-
-
 SIDECAR = """<PAMDataset>
   <Metadata><MDI key="survey">lidar</MDI></Metadata>
   <Metadata domain="TERRAINWAVE"><MDI key="MAX_ERROR">0</MDI></Metadata>
@@ -396,14 +386,6 @@ def test_a_height_that_moves_is_found_by_the_proof(placed, tmp_path, monkeypatch
     with pytest.raises(BoundViolationError, match="which the new raster does not cover, has moved"):
         patch(path, tmp_path / "new.tif")
     assert path.read_bytes() == before
-
-
-def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
-    placed = placed(2)
-    before = placed.read_bytes()
-    part_of(HEIGHTS, tmp_path / "new.tif", 30, 5, 80, 70)
-    assert patch(placed, tmp_path / "new.tif").n_recoded == 0
-    assert placed.read_bytes() == before
 
 
 def test_readers_keep_the_old_file(file):

@@ -1,7 +1,5 @@
 """`stable`: what was decompressed and is compressed again stays as it is."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from cases import some
@@ -91,14 +89,3 @@ def test_a_bound_below_the_spacing_of_floats_is_kept_by_every_bit():
 def test_options_that_do_not_go_together_are_refused(options, found):
     with pytest.raises(InvalidArgumentError, match=found):
         Options(**options)
-
-
-@pytest.mark.full
-def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
-    heights = np.tile(heights_of("float32"), (4, 4))
-    raster = write_geotiff(tmp_path / "dem.tif", heights, nodata=-9999)
-    options = dict(max_error=0.1, block=32, mesh="none", stable=True)
-    compress(raster, tmp_path / "one.twz", **options)
-    with ThreadPoolExecutor(2) as client:
-        compress(raster, tmp_path / "many.twz", client=client, task_samples=4096, **options)
-    assert (tmp_path / "one.twz").read_bytes() == (tmp_path / "many.twz").read_bytes()
