@@ -129,11 +129,6 @@ def decode_unit(
     If only some rows are needed, and the refiner is a `DirectRefiner`, a group may have heights
     only in these (`Decoded.rows`), and the bytes of the others may be unchecked. The parent needs
     heights only in the rows returned by `rows_above`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the payload contradicts the format; nothing is read outside of it.
     """
     if not payload:
         if not spec.has_voids:
@@ -182,13 +177,7 @@ def decode_unit(
 
 
 def rows_above(refiner: Refiner, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
-    """Return the rows of its parent that `decode_unit` needs for some rows of a group.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the payload begins with invalid bytes.
-    """
+    """Return the rows of its parent that `decode_unit` needs for some rows of a group."""
     direct = as_direct(refiner)
     if direct is None:
         return ALL_ROWS
@@ -218,13 +207,7 @@ class Head(NamedTuple):
 
 
 def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
-    """Read the sections before the heights of a non-empty payload.
-
-    Raises
-    ------
-    CorruptStreamError
-        If it contradicts the format.
-    """
+    """Read the sections before the heights of a non-empty payload."""
     flags = payload[0]
     known = _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
     if spec.has_voids:

@@ -133,13 +133,7 @@ def encode_validity(
 def decode_validity(
     section: bytes, region: Region, above: Above | None, *, is_finest: bool
 ) -> Validity:
-    """Undo `encode_validity`; whatever the bytes, all own samples are valid.
-
-    Raises
-    ------
-    CorruptStreamError
-        If a section is not exactly what it should be.
-    """
+    """Undo `encode_validity`; whatever the bytes, all own samples are valid."""
     if not section and (above is None or above.validity.own_mask is None):
         return ALL_VALID
     if not section:

@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numba
 from numba import njit, typeof, types
-from numba.core import config, event
+from numba.core import config, event, postproc, transforms
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import CPUDispatcher
 
 from terrainwave import interrupts
@@ -47,7 +49,12 @@ class Kernel(CPUDispatcher):
             return super().compile(sig)
 
 
+# Minor releases that CI runs (.github/workflows/test.yml: a test compares). With others kernels
+# take longer to compile, and are the same.
+TRIED = ("0.65", "0.66", "0.67", "0.68")
 _typed_anew = types.Function.get_call_type
+_with_copies = InlineWorker.run_untyped_passes
+_in_full = postproc.PostProcessor.run
 _typed: dict[Any, Any] = {}
 _OF_OPERATIONS = types.Number, types.Boolean, types.Array, types.BaseTuple
 
@@ -66,19 +73,54 @@ def _typed_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
     return _typed[key]
 
 
+def _without_copies(worker: Any, func: Any, enable_ssa: bool = False) -> Any:
+    """Return the IR of a part; nobody else has it, so a copy of a block may be itself."""
+    found = _with_copies(worker, func, enable_ssa)
+    for block in found.blocks.values():
+        block.__deepcopy__ = lambda _memo, block=block: block
+    return found
+
+
+def _processed(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+    """Process IR after a pass, without the live variables at the start of each block.
+
+    Only generators and interpreted functions need these; numba computes them after most passes.
+    """
+    func_ir = processor.func_ir
+    if func_ir.is_generator:
+        _in_full(processor, emit_dels, extend_lifetimes)
+        return
+    func_ir.blocks = transforms.canonicalize_cfg(func_ir.blocks)
+    func_ir.variable_lifetime = postproc.VariableLifetime(func_ir.blocks)
+    func_ir.generator_info = None
+    if emit_dels:
+        processor._insert_var_dels(extend_lifetimes=extend_lifetimes)
+
+
+_SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
+    (types.Function, "get_call_type", _typed_once),
+    (InlineWorker, "run_untyped_passes", _without_copies),
+    (postproc.PostProcessor, "run", _processed),
+)
+
+
 @contextmanager
 def _quickly() -> Iterator[None]:
-    """Type operations once, and collect no garbage: a compiler makes little.
+    """Compile by shortcuts, and collect no garbage: a compiler makes little.
 
-    The caller must hold the compiler's lock.
+    The caller must hold the compiler's lock, as shortcuts affect all of numba.
     """
-    before, was_enabled = types.Function.get_call_type, gc.isenabled()
-    types.Function.get_call_type = _typed_once
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in _SHORTCUTS]
+    was_enabled = gc.isenabled()
+    if numba.__version__.rpartition(".")[0] in TRIED:
+        for owner, name, shortcut in _SHORTCUTS:
+            setattr(owner, name, shortcut)
     gc.disable()
     try:
         yield
     finally:
-        types.Function.get_call_type = before
+        for owner, name, method in before:
+            setattr(owner, name, method)
         if was_enabled:
             gc.enable()
 

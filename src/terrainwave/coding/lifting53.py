@@ -95,7 +95,7 @@ def inverse_transform(
 
     These are copies of the LL bands of the inverse stopped early, then the whole field itself.
     """
-    levels = []
+    levels: list[NDArray[np.int64]] = []
     for n_rows, n_cols in level_shapes(field.shape, n_levels)[-2::-1]:
         part = field[:n_rows, :n_cols]
         _inverse(part, holds_first=bool(held & HELD_TOP), holds_last=bool(held & HELD_BOTTOM))

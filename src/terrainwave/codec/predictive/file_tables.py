@@ -117,15 +117,7 @@ def pack_file_tables(added: FileTables) -> bytes:
 
 
 def parse_file_tables(section: bytes) -> FileTables:
-    """Undo `pack_file_tables`; the bytes are untrusted.
-
-    Raises
-    ------
-    UnsupportedVersionError
-        If the layout is unknown.
-    CorruptStreamError
-        If a value is out of range or the section does not end where it should.
-    """
+    """Undo `pack_file_tables`; the bytes are untrusted."""
     if not section:
         return NO_TABLES
     if section[0] != _LAYOUT:

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.magnitudes import N_DETAIL_MODELS, N_MIXERS, cell_limits
 from terrainwave.codec.planes import (
-    HH,
-    HL,
-    LH,
     PAD,
     PASSES,
     A,
@@ -62,7 +59,6 @@ from terrainwave.codec.refiner import (
     as_array,
 )
 from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
-from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     OUT_POS,
     RANGE,
@@ -76,14 +72,11 @@ from terrainwave.coding.rangecoder import (
     new_mixers,
 )
 from terrainwave.coding.status import raise_for_status
-from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
-# A prediction's own fraction gives up to 16 of 32.
-_HALF_STEP = 16
 # Lattices of fewer samples use the first stencil set; others state theirs.
 _MIN_CHOICE = 1024
 _SET_BITS = 4
@@ -217,9 +210,9 @@ class PredictiveRefiner:
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
         coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, flags, self._tables)
-        heights, trees = _code_unit(spec, parent, target, mask, unit, corrections)
+        heights = _code_unit(spec, parent, target, mask, unit, corrections)
         n_bytes = finish_encoder(coder.state, out)
-        return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
 
     def decode(
         self,
@@ -229,22 +222,16 @@ class PredictiveRefiner:
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
-        """Rebuild the heights of ``spec.region``.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
-        """
+        """Rebuild the heights of ``spec.region``."""
         if not payload:
             raise TruncatedStreamError("the payload is empty")
         if payload[0] & ~(_MIXED | _CLAMP):
             raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
         coder = new_decoder(payload[1:], trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, payload[0], self._tables)
-        heights, trees = _code_unit(spec, parent, None, mask, unit, corrections)
+        heights = _code_unit(spec, parent, None, mask, unit, corrections)
         raise_for_status(*finish_decoder(coder.state, coder.stream))
-        return heights, trees
+        return heights, None
 
 
 def _fit_e_weights(
@@ -311,11 +298,8 @@ def _code_unit(
     mask: Mask | None,
     unit: _Unit,
     corrections: Corrections,
-) -> tuple[Heights, Labels | None]:
-    """Encode `target`, or decode if it is None.
-
-    Return the decoded heights of the region and, of a group, the zero trees of its core.
-    """
+) -> Heights:
+    """Encode `target`, or decode if it is None; return the decoded heights of the region."""
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     mask = as_array(mask, spec.region.shape)
@@ -329,7 +313,6 @@ def _code_unit(
     if any(spec.shared):
         kinds[is_known[core]] = KNOWN
     goal = None if target is None else np.ascontiguousarray(target[core])
-    trees = None
     if parent is None:
         stride = 1
         while stride < max(inner.shape) - 1:
@@ -349,14 +332,10 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        errors = _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
-        if spec.wants_labels:
-            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
-            mark_significant(errors, *inner.shape, trees)
-            grow_zero_trees(trees)
+        _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
     if inner.base is not heights:
         heights[core] = inner
-    return heights, trees
+    return heights
 
 
 def _code_corners(
@@ -385,12 +364,8 @@ def _code_lattice(
     spec: GroupSpec,
     unit: _Unit,
     corrections: Corrections = NO_CORRECTIONS,
-) -> NDArray[np.int32]:
-    """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
-
-    Return the errors of prediction, in planes as `planes.split` makes them; coding the next lattice
-    overwrites them.
-    """
+) -> None:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples."""
     shape = heights.shape
     sizes = plane_sizes(shape)
     most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
@@ -429,35 +404,11 @@ def _code_lattice(
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
-    return errors
 
 
 def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
     """Return views of corrections at some samples; empty ones stay empty."""
     return Corrections(*(part[at] if part.size else part for part in corrections))
-
-
-@kernel
-def mark_significant(errors, n_rows, n_cols, significant):
-    """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
-
-    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and (i +
-    1, j). A detail is significant if the prediction is off by half a step or more, in the 1/32
-    steps of `errors`: details that are not 0 (with step 1, rounding distinguishes them only to
-    1/64), and likewise samples known from a shared line.
-    """
-    for i in range(significant.shape[0]):
-        hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
-        has_row_below = 2 * i + 1 < n_rows
-        for j in range(significant.shape[1]):
-            largest = np.int64(0)
-            if 2 * j + 1 < n_cols:
-                largest = np.int64(hl[j + PAD])
-                if has_row_below:
-                    largest = max(largest, np.int64(hh[j + PAD]))
-            if has_row_below:
-                largest = max(largest, np.int64(lh[j + PAD]))
-            significant[i, j] = 1 if largest > _HALF_STEP else 0
 
 
 class _Plane(NamedTuple):
