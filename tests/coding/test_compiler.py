@@ -124,7 +124,7 @@ def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
     assert quadrupled(np.int16(3)) == 12
     assert quadrupled._seconds > 0
     monkeypatch.setattr(quadrupled, "_seconds", 2.0)
-    assert compiled_by(lambda: quadrupled(np.int16(3))) == {"quadrupled"}
+    assert "quadrupled" in compiled_by(lambda: quadrupled(np.int16(3)))
     assert quadrupled(np.int16(3)) == 12
 
 
