@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 _MOST_BYTES = 2 << 30
 _FINDS_OF_A_PLACE = 3
 # What compiles kernels.
-COMPILER = [f"terrainwave.coding.{name}" for name in ("borrowed", "compiler", "jit")]
+COMPILER = [f"terrainwave.coding.{name}" for name in ("borrowed", "jit")]
 
 
 def kernel_modules() -> list[str]:

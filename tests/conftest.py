@@ -44,7 +44,7 @@ settings.load_profile("fast")
 WITHOUT_KERNELS = {
     "benchmarks", "capsule", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
     "test_annexes.py", "test_archive.py", "test_architecture.py", "test_arguments.py",
-    "test_cache.py", "test_camera.py", "test_compiler.py", "test_compilers.py", "test_controls.py",
+    "test_cache.py", "test_camera.py", "test_compiler.py", "test_controls.py",
     "test_convert_in_c.py", "test_crew.py", "test_dispatchers.py", "test_docs.py",
     "test_examples.py", "test_extras.py", "test_faults.py", "test_format_example.py",
     "test_javascript_kernels.py", "test_jit.py", "test_kernel_cache.py",
@@ -68,7 +68,7 @@ BOTH_WAYS = {"test_terrain.py", "test_guarantee.py", "verification/test_verify.p
 # The longest of all. Then one worker compiles the codecs, while the other one compiles meshes and
 # starts processes: or both would compile the same.
 FIRST = (
-    "test_containers.py", "test_warmup.py", "test_compilers.py", "test_pyinstaller.py",
+    "test_containers.py", "test_warmup.py", "test_pyinstaller.py",
     "test_wheels.py", "test_javascript_kernels.py", "test_jupyter.py", "test_types.py",
     "test_reference_decoder.py", "tri", "coding", "test_extras.py", "test_architecture.py",
 )  # fmt: skip

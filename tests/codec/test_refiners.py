@@ -50,8 +50,7 @@ class Kind(NamedTuple):
     def check(self, spec, parent, target, mask=None):
         """Check everything promised; return the payload and the heights."""
         payload, heights, labels = check_refiner(self.refiner(), spec, parent, target, mask)
-        if self.refiner is not Cdf97Refiner:
-            assert (labels is None) == (parent is None or self.refiner is RapidRefiner)
+        assert labels is None or self.refiner is Cdf97Refiner
         assert labels is None or parent is None or labels.shape == parent.shape
         return payload, heights
 

@@ -15,7 +15,7 @@ from terrainwave.codec.rapid.file_tables import (
     parse_file_tables,
     plain_tables,
 )
-from terrainwave.coding import compiled, compiler, jit
+from terrainwave.coding import jit
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part, rare_kernel
 
 needs_jit = pytest.mark.skipif(
@@ -73,23 +73,6 @@ def quadrupled(number):
     return doubled(doubled(number))
 
 
-@kernel
-def extremes(first, second, third):
-    return (
-        min(first, second), max(first, second), min(third, 7), max(first, second, third),
-        min(max(third, second), first, third),
-    )  # fmt: skip
-
-
-@kernel
-def operations(numbers, first, second):
-    return (
-        first + second, first - second, first * second, first // second, first % second,
-        first / second, first < second, -first, numbers[1] + second, numbers[2] * 3, 3 * first,
-        first + 1, first == second, not first,
-    )  # fmt: skip
-
-
 @numba.njit
 def odd_numbers(n):
     for number in range(n):
@@ -123,46 +106,10 @@ def test_kernels_may_call_themselves():
     assert of_factorials(4) == 24 + 120
 
 
-@needs_jit
-@pytest.mark.parametrize(
-    "values",
-    [
-        (np.int32(-5), np.int64(3), np.int16(9)),
-        (np.uint8(200), np.int8(-100), np.int32(-1)),
-        (np.float32(1.5), np.int64(2), np.float64(-0.25)),
-        (np.float64("nan"), np.float64(2), np.float64(1)),
-        (np.float64(2), np.float64("nan"), np.float64(1)),
-        (np.bool_(True), np.int64(2), np.uint16(0)),
-    ],
-)
-def test_the_least_and_the_most_are_pythons(values):
-    np.testing.assert_array_equal(extremes(*values), extremes.py_func(*values))
-
-
 @pytest.mark.full
 def test_parts_may_use_what_numba_brings():
     assert of_library(5) == 10
     assert of_library(0) == 0
-
-
-@needs_jit
-def test_what_only_kernels_call_is_not_compiled_for_python(monkeypatch):
-    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
-    anew = kernel(all_three.py_func)
-    assert compiled_by(lambda: anew(np.array([1, 2], dtype=np.int16))) == {"all_three"}
-
-
-@needs_jit
-@pytest.mark.parametrize("kinds", [(np.int32, np.uint8), (np.uint64, np.int64), (np.float32, int)])
-def test_operations_have_the_types_that_numba_gives_them(monkeypatch, kinds):
-    monkeypatch.setattr(compiled, "WHY_NOT_KEPT", "a test")
-    first, second = (kind(7) for kind in kinds)
-    numbers = np.arange(5, dtype=kinds[0])
-    quick = kernel(operations.py_func)(numbers, first, second)
-    assert compiler._known_operations
-    own = numba.njit(operations.py_func)(numbers, first, second)
-    assert quick == own
-    assert [type(number) for number in quick] == [type(number) for number in own]
 
 
 def test_kernels_may_call_generators_of_numba():
@@ -177,7 +124,7 @@ def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
     assert quadrupled(np.int16(3)) == 12
     assert quadrupled._seconds > 0
     monkeypatch.setattr(quadrupled, "_seconds", 2.0)
-    assert compiled_by(lambda: quadrupled(np.int16(3))) == {"quadrupled"}
+    assert "quadrupled" in compiled_by(lambda: quadrupled(np.int16(3)))
     assert quadrupled(np.int16(3)) == 12
 
 

@@ -13,7 +13,6 @@ from terrainwave.coding.filters import (
     inverse_transform,
     lowpass_analysis,
     n_transforms,
-    reflect,
     synthesise,
 )
 
@@ -27,7 +26,7 @@ LIFTING = (-1.586134342, -0.052980119, 0.882911076, 0.443506852)
 
 
 def reference_analysis(line):
-    padded = [line[reflect(i, len(line))] for i in range(-4, len(line) + 4)]
+    padded = np.pad(line, 4, mode="reflect")
     return np.array([np.dot(LOWPASS, padded[i : i + 9]) for i in range(0, len(line), 2)])
 
 

@@ -12,14 +12,10 @@ from terrainwave.coding.rangecoder import (
     MODEL_START,
     N_UNARY,
     PROBABILITIES,
-    SETTLED_ON_ONES,
     code_bit,
     code_magnitude,
     code_mixed_step,
-    code_ones,
-    code_ones_in_turns,
     code_raw,
-    code_step,
     finish_decoder,
     finish_encoder,
     new_decoder,
@@ -82,55 +78,6 @@ def test_bits_come_back(pairs):
     bits = np.array([b for b, _ in pairs], dtype=np.uint8)
     contexts = np.array([c for _, c in pairs], dtype=np.int64)
     assert decoded(encoded(bits, contexts, 4), contexts, 4).tolist() == bits.tolist()
-
-
-@kernel
-def code_runs(bits, coder, coded):
-    """Code bits with model 0: ones in runs, zeros one by one."""
-    state, stream, models, is_encoder = coder
-    at = take_out(state)
-    i, n = 0, bits.shape[0]
-    while i < n:
-        end = n
-        if is_encoder is not None:
-            end = i
-            while end < n and bits[end]:
-                end += 1
-        n_ones, at = code_ones(at, state, stream, models, is_encoder, 0, end - i)
-        coded[i : i + n_ones] = 1
-        i += n_ones
-        if i < n:
-            coded[i], at = code_step(at, state, stream, models, is_encoder, 0, np.int64(bits[i]))
-            i += 1
-    put_back(at, state)
-
-
-def check_runs(bits):
-    """Check that runs are coded, and decoded, as their bits are one by one."""
-    expected = encoded(bits, np.zeros(len(bits), dtype=np.int64), 1)
-    out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
-    encoder, decoder = new_encoder(out, new_models(1)), new_decoder(expected, new_models(1))
-    code_runs(bits, encoder, np.zeros_like(bits))
-    assert out[: finish_encoder(encoder.state, out)].tobytes() == expected.tobytes()
-    found = np.zeros_like(bits)
-    code_runs(found, decoder, found)
-    raise_for_status(*finish_decoder(decoder.state, decoder.stream))
-    assert np.array_equal(found, bits)
-    assert decoder.models == encoder.models
-
-
-@settings(deadline=None)  # the first example compiles
-@given(st.lists(st.integers(0, 300), max_size=12), st.booleans())
-def test_runs_of_ones_are_coded_as_they_are_one_by_one(runs, ends_with_a_zero):
-    bits = np.array([bit for run in runs for bit in [1] * run + [0]], dtype=np.uint8)
-    check_runs(bits if ends_with_a_zero else bits[:-1])
-
-
-@pytest.mark.parametrize("n_zeros", [0, 1, 3, 10, 30, 100])
-def test_runs_that_no_longer_move_the_model_are_coded_in_steps(n_zeros):
-    bits = np.ones(60_000, dtype=np.uint8)
-    bits[np.random.default_rng(n_zeros).integers(0, len(bits), n_zeros)] = 0
-    check_runs(bits)
 
 
 def test_the_example_of_the_format():
@@ -304,53 +251,3 @@ def test_any_bytes_give_mixed_bits_or_our_own_error(data):
     except (CorruptStreamError, TruncatedStreamError):
         return
     assert set(bits.tolist()) <= {0, 1}
-
-
-def test_ones_settle_any_model_on_the_same_numbers():
-    rng = np.random.default_rng(5)
-    models = new_models(40)
-    coder = new_encoder(np.empty(100_000, dtype=np.uint8), models)
-    at = take_out(coder.state)
-    for model in range(40):
-        for bit in rng.random(rng.integers(0, 600)) < rng.random():
-            _, at = code_step(
-                at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(bit)
-            )
-        _, at = code_ones(
-            at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(5000)
-        )
-    assert (models == SETTLED_ON_ONES).all()
-
-
-@pytest.mark.parametrize("second", [0, 1])
-def test_ones_in_turns_are_those_that_single_steps_code(second):
-    rng = np.random.default_rng(6)
-    coded, n_cut = [], 0
-    for by_runs in (True, False):
-        models = new_models(2)
-        coder = new_encoder(np.empty(100_000, dtype=np.uint8), models)
-        step = coder.state, coder.stream, models, coder.is_encoder
-        at = take_out(coder.state)
-        for n in [*rng.integers(0, 40, 50), 3000, 1, 2000]:
-            if by_runs:
-                _, at = code_ones_in_turns(at, *step, 0, second, np.int64(n))
-            else:
-                for k in range(n):
-                    _, at = code_step(at, *step, second * (k & 1), np.int64(1))
-            _, at = code_step(at, *step, n & second, np.int64(0))
-        put_back(at, coder.state)
-        coded.append((coder.stream[: finish_encoder(coder.state, coder.stream)].tobytes(), models))
-        rng = np.random.default_rng(6)
-    assert coded[0][0] == coded[1][0]
-    np.testing.assert_array_equal(coded[0][1], coded[1][1])
-    # A decoder stops before the zeros, whatever it is asked for.
-    models = new_models(2)
-    coder = new_decoder(coded[0][0], models)
-    step = coder.state, coder.stream, models, coder.is_encoder
-    at = take_out(coder.state)
-    for n in [*rng.integers(0, 40, 50), 3000, 1, 2000]:
-        n_ones, at = code_ones_in_turns(at, *step, 0, second, np.int64(n + 7))
-        n_cut += n_ones == n
-        bit, at = code_step(at, *step, n & second, np.int64(1))
-        assert bit == 0
-    assert n_cut == 53

@@ -10,7 +10,6 @@ from terrainwave.coding.zerotrees import (
     JS,
     JZTC,
     JZTR,
-    grow_zero_trees,
     map_of_labels,
     mark_zero_trees,
     tree_height,
@@ -39,13 +38,6 @@ def flags(draw):
     shape = draw(st.integers(1, 33)), draw(st.integers(1, 33))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     return (rng.random(shape) < draw(st.sampled_from([0, 0.01, 0.1, 0.7, 1]))).astype(np.uint8)
-
-
-@given(significant=flags())
-def test_growing_matches_the_definition(significant):
-    trees = significant.copy()
-    grow_zero_trees(trees)
-    np.testing.assert_array_equal(trees, slow_map(significant))
 
 
 @pytest.mark.parametrize(

@@ -93,13 +93,7 @@ def encode_corrections(added: Heights, spec: GroupSpec) -> bytes:
 
 
 def decode_corrections(section: bytes, spec: GroupSpec) -> Corrections:
-    """Undo `encode_corrections`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the bytes are not exactly one array with a correction in it.
-    """
+    """Undo `encode_corrections`."""
     coder = new_decoder(section, new_models(N_MODELS))
     padded = np.zeros(_padded_shape(spec.region.shape), dtype=np.int32)
     most = _code(coder, padded, *_geometry(spec))

@@ -36,7 +36,7 @@ from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.remainders import Remainders
 
-MASK_ALL_VALID, MASK_CODED = 0, 1
+MASK_CODED = 1
 _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS = 0b10, 0b100, 0b1000
 # In file order.
 _SECTIONS = MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, HAS_CORRECTIONS
@@ -69,16 +69,15 @@ def encode_unit(
         Only with ``spec.has_corrections``: heights that must come back exactly, `FREE` where any
         height within the bound of `target` is accepted.
     """
-    flags, sections = MASK_ALL_VALID, b""
+    sections = dict.fromkeys(_SECTIONS, b"")
     validity = Validity.of(mask, own)
     if validity.own_mask is not None:  # otherwise the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
         above = _above(spec, parent)
-        coded = encode_validity(validity, spec.region, above, is_finest=spec.is_finest)
-        if coded:
-            flags |= MASK_CODED
-            sections += encode_varint(len(coded)) + coded
+        sections[MASK_CODED] = encode_validity(
+            validity, spec.region, above, is_finest=spec.is_finest
+        )
     parent_heights = None if parent is None else parent.heights
     corrections = NO_CORRECTIONS
     if kept is None:
@@ -97,23 +96,18 @@ def encode_unit(
         # A height that equals nodata itself (after rounding) goes up if there is room.
         goes_down = (target[collides] < spec.forbidden[0]) | (spec.forbidden[1] >= spec.z_max)
         if goes_down.any():
-            flags |= _HAS_EXCEPTIONS
-            exceptions = np.packbits(goes_down).tobytes()
-            sections += encode_varint(len(exceptions)) + exceptions
+            sections[_HAS_EXCEPTIONS] = np.packbits(goes_down).tobytes()
         _resolve_collisions(spec, heights, collides, goes_down)
     decoded = Decoded(heights, validity, labels)
     if remainders is not None:
         rest = remainders(heights)
-        coded_rest = encode_remainders(rest)
-        if coded_rest:
-            flags |= _HAS_REMAINDERS
-            sections += encode_varint(len(coded_rest)) + coded_rest
+        sections[_HAS_REMAINDERS] = encode_remainders(rest)
+        if sections[_HAS_REMAINDERS]:
             decoded = decoded._replace(remainders=rest)
-    coded_corrections = encode_corrections(corrections.added, spec)
-    if coded_corrections:
-        flags |= HAS_CORRECTIONS
-        sections += encode_varint(len(coded_corrections)) + coded_corrections
-    return bytes([flags]) + sections + body, decoded
+    sections[HAS_CORRECTIONS] = encode_corrections(corrections.added, spec)
+    head = bytes([sum(flag for flag, section in sections.items() if section)])
+    head += b"".join(encode_varint(len(one)) + one for one in sections.values() if one)
+    return head + body, decoded
 
 
 def decode_unit(
@@ -129,11 +123,6 @@ def decode_unit(
     If only some rows are needed, and the refiner is a `DirectRefiner`, a group may have heights
     only in these (`Decoded.rows`), and the bytes of the others may be unchecked. The parent needs
     heights only in the rows returned by `rows_above`.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the payload contradicts the format; nothing is read outside of it.
     """
     if not payload:
         if not spec.has_voids:
@@ -182,24 +171,15 @@ def decode_unit(
 
 
 def rows_above(refiner: Refiner, spec: GroupSpec, payload: bytes, rows: Rows) -> Rows:
-    """Return the rows of its parent that `decode_unit` needs for some rows of a group.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the payload begins with invalid bytes.
-    """
+    """Return the rows of its parent that `decode_unit` needs for some rows of a group."""
     direct = as_direct(refiner)
     if direct is None:
         return ALL_ROWS
     if not payload:
         return Rows(0, 1)
-    flags, byte_pos, exceptions = payload[0], 1, b""
-    for flag in _SECTIONS:
-        if flags & flag:
-            section, byte_pos = _read_section(payload, byte_pos)
-            exceptions = section if flag == _HAS_EXCEPTIONS else exceptions
-    return direct.rows_above(spec, payload[byte_pos:], _from_first(rows, exceptions))
+    sections, byte_pos = _read_sections(payload)
+    rows = _from_first(rows, sections[_HAS_EXCEPTIONS])
+    return direct.rows_above(spec, payload[byte_pos:], rows)
 
 
 def _from_first(rows: Rows, exceptions: bytes) -> Rows:
@@ -218,13 +198,7 @@ class Head(NamedTuple):
 
 
 def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
-    """Read the sections before the heights of a non-empty payload.
-
-    Raises
-    ------
-    CorruptStreamError
-        If it contradicts the format.
-    """
+    """Read the sections before the heights of a non-empty payload."""
     flags = payload[0]
     known = _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
     if spec.has_voids:
@@ -233,12 +207,7 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
         known |= HAS_CORRECTIONS
     if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
-    byte_pos = 1
-    sections = {}
-    for flag in _SECTIONS:
-        sections[flag] = b""
-        if flags & flag:
-            sections[flag], byte_pos = _read_section(payload, byte_pos)
+    sections, byte_pos = _read_sections(payload)
     above = _above(spec, parent)
     validity = decode_validity(sections[MASK_CODED], spec.region, above, is_finest=spec.is_finest)
     if validity.mask is not None and not validity.mask.any():
@@ -296,10 +265,18 @@ def _decode_exceptions(section: bytes, n_collisions: int, *, is_part: bool) -> N
     return bits[:n_collisions].astype(np.bool_)
 
 
-def _read_section(payload: bytes, byte_pos: int) -> tuple[bytes, int]:
-    length, byte_pos = decode_varint(payload, byte_pos)
-    if length == 0:
-        raise CorruptStreamError(f"a section is empty (byte {byte_pos})")
-    if byte_pos + length > len(payload):
-        raise TruncatedStreamError(f"a section of {length} bytes is cut short (byte {byte_pos})")
-    return payload[byte_pos : byte_pos + length], byte_pos + length
+def _read_sections(payload: bytes) -> tuple[dict[int, bytes], int]:
+    """Return the sections of a payload by flag, empty without one, and the place after them."""
+    sections, byte_pos = dict.fromkeys(_SECTIONS, b""), 1
+    for flag in _SECTIONS:
+        if payload[0] & flag:
+            length, byte_pos = decode_varint(payload, byte_pos)
+            if length == 0:
+                raise CorruptStreamError(f"a section is empty (byte {byte_pos})")
+            if byte_pos + length > len(payload):
+                raise TruncatedStreamError(
+                    f"a section of {length} bytes is cut short (byte {byte_pos})"
+                )
+            sections[flag] = payload[byte_pos : byte_pos + length]
+            byte_pos += length
+    return sections, byte_pos

@@ -14,7 +14,7 @@ from terrainwave.coding.native_library import NativeError, NativeLibrary, addres
 from terrainwave.grid.quadtree import Region
 
 if TYPE_CHECKING:
-    from terrainwave.codec.masks import Above, CodedBits
+    from terrainwave.codec.masks import Above
 
 POINTER, INT = ctypes.c_void_p, ctypes.c_int32
 _HANDLE = ctypes.POINTER(POINTER)
@@ -113,16 +113,16 @@ def code_known(
     region: Region,
     above: "Above | None",
     is_finest: bool,
-    log: "CodedBits",
     section: bytes = b"",
-) -> tuple[NDArray[np.uint8], int]:
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]]:
     """Do as `masks.code_known`; of a section, read it."""
     n_rows, n_cols = region.shape
-    cells = new_heights((n_rows, -(-n_cols // 4))).ravel().view(np.uint8)[: n_rows * n_cols]
+    cells = _used_memory(n_rows * n_cols)[: n_rows * n_cols]
+    models, bits = (_used_memory(room_for(region)) for _ in range(2))
     job = _MaskJob(
         size=ctypes.sizeof(_MaskJob), n_rows=n_rows, n_cols=n_cols, p=region.row & 1,
         q=region.col & 1, is_finest=is_finest, cells=address(cells),
-        models=address(log.models), bits=address(log.bits), capacity=len(log.models),
+        models=address(models), bits=address(bits), capacity=len(models),
     )  # fmt: skip
     arrays: list[NDArray[Any]] = []
     if section:
@@ -141,24 +141,31 @@ def code_known(
         job.above_col = (region.col + 1 >> 1) - above.region.col
     with ENCODERS.lent() as encoder:
         call("twz_python_encode_mask", encoder.address, ctypes.byref(job))
-    return cells.reshape(region.shape), job.n_bits
+    return cells.reshape(region.shape), models[: job.n_bits], bits[: job.n_bits]
+
+
+def room_for(region: Region) -> int:
+    """Return how many bits a unit may take: each sample, its group's, and fills."""
+    return 3 * (region.n_rows * region.n_cols + 32)
+
+
+def _used_memory(n: int) -> NDArray[np.uint8]:
+    return new_heights((1, -(-n // 4))).ravel().view(np.uint8)
 
 
 def read_section(
-    section: bytes, region: Region, above: "Above | None", is_finest: bool, log: "CodedBits"
+    section: bytes, region: Region, above: "Above | None", is_finest: bool
 ) -> NDArray[np.uint8]:
     """Do as `masks.read_section`, which says what is wrong with damaged ones."""
+    nothing = np.zeros((1, 1), dtype=np.bool_)
     try:
-        cells, _ = code_known(
-            None, np.zeros((1, 1), dtype=np.bool_), region, above, is_finest, log, section
-        )
+        return code_known(None, nothing, region, above, is_finest, section)[0]
     except ValueError:
         from terrainwave.codec import masks
 
         return masks.read_section.__wrapped__(  # type: ignore[attr-defined]
-            section, region, above, is_finest, log
+            section, region, above, is_finest
         )
-    return cells
 
 
 def write_bits(

@@ -115,13 +115,7 @@ class FileStencil(NamedTuple):
     deltas: tuple[int, ...] = ()
 
     def weights(self, sets: NDArray[Any], missing: int, plane: int) -> NDArray[np.int64]:
-        """Return the weights of a plane with the trained `sets` and the `missing` tap.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the set does not exist or a weight is out of range.
-        """
+        """Return the weights of a plane with the trained `sets` and the `missing` tap."""
         if self.base >= len(sets):
             raise CorruptStreamError(f"a stencil builds on set {self.base}, which does not exist")
         weights: NDArray[np.int64] = sets[self.base].astype(np.int64)
@@ -211,23 +205,17 @@ def _framed(n: int, parity: int, n_lattice: int) -> list[tuple[int, int]]:
     ]
 
 
-@kernel
-def fill_between(planes):
+def fill_between(planes: NDArray[np.int32]) -> None:
     """Fill all of HH, HL and LH with means of the surrounding coarse samples.
 
     For lattices of a single row or column, where taps reach samples that don't exist.
     """
-    coarse = planes[0]
-    n_rows, n_cols = coarse.shape
-    for i in range(n_rows):
-        below = min(i + 1, n_rows - 1)
-        for j in range(n_cols):
-            right = min(j + 1, n_cols - 1)
-            here, east = np.int64(coarse[i, j]), np.int64(coarse[i, right])
-            south, south_east = np.int64(coarse[below, j]), np.int64(coarse[below, right])
-            planes[1, i, j] = (here + east + south + south_east + 2) >> 2
-            planes[2, i, j] = (here + east + 1) >> 1
-            planes[3, i, j] = (here + south + 1) >> 1
+    here = planes[A].astype(np.int64)
+    south = np.concatenate([here[1:], here[-1:]])
+    east, south_east = (np.concatenate([one[:, 1:], one[:, -1:]], 1) for one in (here, south))
+    planes[HH] = (here + east + south + south_east + 2) >> 2
+    planes[HL] = (here + east + 1) >> 1
+    planes[LH] = (here + south + 1) >> 1
 
 
 def fill_bends(coarse: NDArray[np.int32], most: int, bends: NDArray[np.int32]) -> None:

@@ -3,6 +3,9 @@
 A coded unit is a root block or a group (the four children of one block). A refiner sees only its
 `GroupSpec` and the decoded heights of the parent block: no file, no global, no neighbour. That
 makes every group decodable from only its ancestors, in any order.
+
+Functions of this package that read bytes raise `CorruptStreamError` where these contradict
+FORMAT.md, `TruncatedStreamError` where they end too early.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -61,7 +64,7 @@ class GroupSpec(CodecParameters):
     shared: Sides
     # Only for choices of encoders, and for the sections of a payload: no refiner may decode by it.
     is_finest: bool = True
-    # True if `Decoded.labels` are wanted; without them decoding saves about 1 %.
+    # True if `Decoded.labels` are wanted of a method that codes them.
     wants_labels: bool = True
     # True if residuals of this level are quantised as the paper prints it for coarse levels.
     has_coarse_residuals: bool = False

@@ -16,15 +16,7 @@ def encode_varint(value: int) -> bytes:
 
 
 def decode_varint(data: bytes, byte_pos: int) -> tuple[int, int]:
-    """Return the value at `byte_pos` and the position after it.
-
-    Raises
-    ------
-    TruncatedStreamError
-        If the data end inside the number.
-    CorruptStreamError
-        If it is longer than five bytes or not in its shortest form.
-    """
+    """Return the value at `byte_pos` and the position after it."""
     value = 0
     for n_bytes in range(_MAX_BYTES):
         if byte_pos + n_bytes >= len(data):

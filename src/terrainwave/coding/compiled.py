@@ -1,150 +1,128 @@
 """Configuration of numba, all in this module, which `jit` imports for the first kernel called.
 
-There are two compilers of kernels: the fast one of `compiler`, and numba's own. The fast one takes
-0.6 of the time (docs/decisions/0019-how-kernels-are-compiled.md), but uses private parts of numba.
-So it is used only with numba releases that CI has tested, and if all names that it needs exist.
-With other releases kernels are as fast, and produce the same bytes.
+docs/decisions/0019-how-kernels-are-compiled.md has the reasons.
 """
 
-import hashlib
+import gc
 import os
-import re
-import warnings
-from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numba
 from numba import njit, typeof, types
-from numba.core import config, event
+from numba.core import config, event, postproc, transforms
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import CPUDispatcher
 
+from terrainwave import interrupts
+from terrainwave.coding.kernel_cache import KernelCache
 from terrainwave.coding.kernel_places import KernelPlace
-from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 
-# Minor releases that CI runs (.github/workflows/test.yml: a test compares).
-TRIED = ("0.65", "0.66", "0.67", "0.68")
-
-# Selects one of the two; for tests, and to try another release of numba.
-VARIABLE = "TERRAINWAVE_COMPILER"
-
-
-def _chosen() -> tuple[str, type[CPUDispatcher]]:
-    """Return the compiler's name and dispatcher; warn if it is not the fast one."""
-    asked = os.environ.get(VARIABLE, "")
-    if asked not in ("", "fast", "plain"):
-        raise InvalidArgumentError(f"{VARIABLE}: found {asked}, expected fast, plain or nothing")
-    if asked == "plain" or config.DISABLE_JIT:
-        return "plain", CPUDispatcher
-    minor = ".".join(numba.__version__.split(".")[:2])
-    if minor not in TRIED and not asked:
-        return "plain", _own(f"terrainwave was tried with numba {TRIED[0]} to {TRIED[-1]}")
-    try:
-        from terrainwave.coding import compiler
-
-        missing = compiler.missing_names()
-    except (ImportError, AttributeError, TypeError) as error:
-        missing = [str(error)]
-    if missing:
-        return "plain", _own(f"it lacks what terrainwave's compiler needs: {', '.join(missing)}")
-    return "fast", compiler.Kernel
+_OPTIONS = {
+    "nopython": True,
+    "boundscheck": None,  # by NUMBA_BOUNDSCHECK
+    "fastmath": False,
+    "nogil": True,
+    # Skip the C wrapper, which is slow to compile.
+    "no_cfunc_wrapper": True,
+}
 
 
-def _own(why: str) -> type[CPUDispatcher]:
-    """Return numba's own dispatcher, and warn with the reason."""
-    warnings.warn(
-        f"numba is {numba.__version__}, and {why}; kernels are compiled by numba alone, which takes"
-        " longer the first time and changes nothing else",
-        TerrainwaveWarning,
-        stacklevel=2,
-    )
-    return CPUDispatcher
-
-
-COMPILER, Kernel = _chosen()
-
-
-def _keeping() -> tuple[Any, str]:
-    """Return the class of caches, or None with the reason."""
+def _why_not_kept() -> str:
     if os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") == "0":
-        return None, "TERRAINWAVE_NUMBA_CACHE is 0; unset it"
-    if config.DISABLE_JIT:
-        return None, "NUMBA_DISABLE_JIT is set; unset it"
-    try:
-        from terrainwave.coding import kernel_cache
-
-        missing = kernel_cache.missing_names()
-    except (ImportError, AttributeError, TypeError) as error:
-        missing = [str(error)]
-    if not missing:
-        return kernel_cache.KernelCache, ""
-    # Without our stamp an entry would outlive its sources: a broken bound.
-    why = f"numba {numba.__version__} keeps kernels in another way ({', '.join(missing)})"
-    warnings.warn(
-        f"compiled kernels are not kept: {why}; every run compiles them again",
-        TerrainwaveWarning,
-        stacklevel=2,
-    )
-    return None, f"{why}; install a release of numba that terrainwave was tried with"
+        return "TERRAINWAVE_NUMBA_CACHE is 0; unset it"
+    return "NUMBA_DISABLE_JIT is set; unset it" if config.DISABLE_JIT else ""
 
 
-KernelCache, WHY_NOT_KEPT = _keeping()
-
-# The directory that contains the package.
-_ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-
-# Imports at the start of a line: kernels see no others. The literal start makes the search fast.
-_IMPORT = re.compile(r"\nfrom (terrainwave[\w.]*) import (\([^)]*\)|[^\n#]*)")
-_NAME = re.compile(r"(\w+)(?: as \w+)?")
+WHY_NOT_KEPT = _why_not_kept()
 
 
-def sources_of(path: str) -> list[str]:
-    """Return the files whose text can change the results of one file's kernels, sorted.
+class Kernel(CPUDispatcher):
+    """Numba's dispatcher, quicker to compile."""
 
-    The file itself and its imports from the package, recursively. Imports within functions and
-    under TYPE_CHECKING don't count: kernels do not see their names.
+    def compile(self, sig: Any) -> Any:
+        """Compile for some types, or load the compiled code."""
+        interrupts.check()
+        with global_compiler_lock, _quickly():
+            return super().compile(sig)
+
+
+# Minor releases that CI runs (.github/workflows/test.yml: a test compares). With others kernels
+# take longer to compile, and are the same.
+TRIED = ("0.65", "0.66", "0.67", "0.68")
+_typed_anew = types.Function.get_call_type
+_with_copies = InlineWorker.run_untyped_passes
+_in_full = postproc.PostProcessor.run
+_typed: dict[Any, Any] = {}
+_OF_OPERATIONS = types.Number, types.Boolean, types.Array, types.BaseTuple
+
+
+def _typed_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the signature of an operation on some types, found once.
+
+    Numba tries each of a dozen templates, and again for each ``+`` of a kernel.
     """
-    sources: set[str] = set()
-    waiting = [os.path.abspath(path)]
-    while waiting:
-        path = waiting.pop()
-        if path not in sources:
-            sources.add(path)
-            waiting.extend(_read(path)[1])
-    return sorted(sources)
+    is_operation = getattr(function.typing_key, "__module__", None) == "_operator" and not kws
+    if not (is_operation and all(isinstance(kind, _OF_OPERATIONS) for kind in args)):
+        return _typed_anew(function, context, args, kws)
+    key = function, args
+    if key not in _typed:
+        _typed[key] = _typed_anew(function, context, args, kws)
+    return _typed[key]
 
 
-@lru_cache(None)
-def _digest(path: str) -> str:
-    """Return a digest of `sources_of` a file, of when the process first asks."""
-    digest = hashlib.sha256()
-    for source in sorted({*sources_of(path), *sources_of(__file__)}):
-        digest.update(_read(source)[0])
-    return digest.hexdigest()
+def _without_copies(worker: Any, func: Any, enable_ssa: bool = False) -> Any:
+    """Return the IR of a part; nobody else has it, so a copy of a block may be itself."""
+    found = _with_copies(worker, func, enable_ssa)
+    for block in found.blocks.values():
+        block.__deepcopy__ = lambda _memo, block=block: block
+    return found
 
 
-@lru_cache(None)
-def _read(path: str) -> tuple[bytes, list[str]]:
-    """Return the digest of a file's text, and the files of the package that it imports."""
-    with open(path, "rb") as file:
-        data = file.read()
-    text = "\n" + data.decode("utf-8")
-    imported = [
-        source for match in _IMPORT.finditer(text) for source in _files_of(match[1], match[2])
-    ]
-    return hashlib.sha256(data).digest(), imported
+def _processed(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+    """Process IR after a pass, without the live variables at the start of each block.
 
-
-def _files_of(module: str, names: str) -> Iterator[str]:
-    """Yield the files that define the names of ``from module import names``."""
-    place = os.path.join(_ROOT, *module.split("."))
-    if os.path.isfile(f"{place}.py"):
-        yield f"{place}.py"
+    Only generators and interpreted functions need these; numba computes them after most passes.
+    """
+    func_ir = processor.func_ir
+    if func_ir.is_generator:
+        _in_full(processor, emit_dels, extend_lifetimes)
         return
-    for name in _NAME.findall(names):
-        is_module = os.path.isfile(os.path.join(place, f"{name}.py"))
-        yield os.path.join(place, f"{name}.py" if is_module else "__init__.py")
+    func_ir.blocks = transforms.canonicalize_cfg(func_ir.blocks)
+    func_ir.variable_lifetime = postproc.VariableLifetime(func_ir.blocks)
+    func_ir.generator_info = None
+    if emit_dels:
+        processor._insert_var_dels(extend_lifetimes=extend_lifetimes)
+
+
+_SHORTCUTS: tuple[tuple[Any, str, Any], ...] = (
+    (types.Function, "get_call_type", _typed_once),
+    (InlineWorker, "run_untyped_passes", _without_copies),
+    (postproc.PostProcessor, "run", _processed),
+)
+
+
+@contextmanager
+def _quickly() -> Iterator[None]:
+    """Compile by shortcuts, and collect no garbage: a compiler makes little.
+
+    The caller must hold the compiler's lock, as shortcuts affect all of numba.
+    """
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in _SHORTCUTS]
+    was_enabled = gc.isenabled()
+    if numba.__version__.rpartition(".")[0] in TRIED:
+        for owner, name, shortcut in _SHORTCUTS:
+            setattr(owner, name, shortcut)
+    gc.disable()
+    try:
+        yield
+    finally:
+        for owner, name, method in before:
+            setattr(owner, name, method)
+        if was_enabled:
+            gc.enable()
 
 
 def part_of_kernels(function: Callable[..., Any]) -> Any:
@@ -153,25 +131,12 @@ def part_of_kernels(function: Callable[..., Any]) -> Any:
 
 
 def compiled(function: Callable[..., Any], *, is_inlined: bool) -> Any:
-    """Return numba's dispatcher of a kernel; plain Python under NUMBA_DISABLE_JIT.
-
-    A stale compiled kernel is a broken bound, and numba checks only the kernel's own file. So the
-    stamp of each cache entry is a digest of `sources_of` that file, and of this one.
-    """
+    """Return numba's dispatcher of a kernel; plain Python under NUMBA_DISABLE_JIT."""
     if config.DISABLE_JIT:
         return function
-    options: dict[str, Any] = {
-        "nopython": True,
-        "boundscheck": None,  # by NUMBA_BOUNDSCHECK
-        "fastmath": False,
-        "nogil": True,
-        "forceinline": is_inlined,
-        # Skip the C wrapper, which is slow to compile.
-        "no_cfunc_wrapper": True,
-    }
-    dispatcher = Kernel(function, targetoptions=options)
+    dispatcher = Kernel(function, targetoptions=_OPTIONS | {"forceinline": is_inlined})
     if not WHY_NOT_KEPT:
-        dispatcher._cache = KernelCache(function, _digest, _key_of)
+        dispatcher._cache = KernelCache(function)
     return dispatcher
 
 
@@ -185,30 +150,11 @@ def is_kept(kernel: Any, arguments: tuple[Any, ...]) -> bool:
         return kernel._cache.load_overload(found, context) is not None
 
 
-def _key_of(signature: Any) -> tuple[Any, ...]:
-    """Return the part of a cache entry's key besides the types of arguments.
-
-    In compiled code the fields of a named tuple are positions. A kernel's file need not import the
-    class of a named tuple it is given, so the names of the fields are part of the key.
-    """
-    return COMPILER, *_fields_of(getattr(signature, "args", signature))
-
-
-def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
-    """Yield the field names of each named tuple among argument types, nested ones too."""
-    for argument in arguments:
-        inner = argument.type if isinstance(argument, types.Optional) else argument
-        is_tuple = isinstance(inner, types.BaseTuple)
-        if is_tuple:
-            yield getattr(inner, "fields", ())
-            yield from _fields_of(inner)
-
-
 def place_of_kernels() -> KernelPlace:
     """Return the cache of this package's kernels, or the reason for its absence."""
     if WHY_NOT_KEPT:
         return KernelPlace((), reason=WHY_NOT_KEPT)
-    return KernelCache(place_of_kernels, _digest, _key_of).place
+    return KernelCache(place_of_kernels).place
 
 
 class _FirstCompilation(event.Listener):

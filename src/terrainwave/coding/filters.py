@@ -8,6 +8,8 @@ factor of its quantiser step instead (`BAND_GAINS`).
 Bounds below assume heights of at most 2**30 quanta in magnitude.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,16 +49,6 @@ BAND_GAINS = np.array(
 )
 
 
-@kernel
-def reflect(index, n):
-    """Return `index` folded into 0 … n - 1 by whole-sample symmetry."""
-    if n == 1:
-        return 0
-    period = 2 * (n - 1)
-    index = index % period
-    return min(index, period - index)
-
-
 def lowpass_analysis(
     heights: NDArray[np.int32],
     first: tuple[int, int],
@@ -83,58 +75,29 @@ def lowpass_analysis(
     ndarray of int32, shape `out_shape`
         Rounded once, half up.
     """
-    scratch = np.empty((heights.shape[0], out_shape[1]), dtype=np.int64)
-    out = np.empty(out_shape, dtype=np.int32)
-    padded = np.empty(2 * out_shape[1] + 2 * _HALO, dtype=np.int64)
-    _analyse(heights, *first, *level_shape, *out_first, padded, scratch, out)
-    return out
+    rows = _analyse(heights, first[0], level_shape[0], out_first[0], out_shape[0])
+    total = _analyse(rows.T, first[1], level_shape[1], out_first[1], out_shape[1]).T
+    total += 1 << (2 * _TAP_BITS - 1)
+    return np.ascontiguousarray(total >> 2 * _TAP_BITS, dtype=np.int32)
 
 
-@kernel
-def _analyse(heights, first_row, first_col, n_rows, n_cols, out_row, out_col, padded, scratch, out):
-    """Low-pass rows into `scratch`, then columns into `out`.
+def _analyse(
+    heights: NDArray[Any], first: int, n: int, out_first: int, n_out: int
+) -> NDArray[np.int64]:
+    """Return every second row of `n`, low-passed, of which `heights` holds those from `first` on.
 
     Taps sum to less than 1.6 * 2**14 in magnitude, so 2**30 grows to less than 2**60.
     """
-    n_out = out.shape[1]
-    for row in range(heights.shape[0]):
-        for col in range(padded.shape[0]):
-            source = reflect(2 * out_col - _HALO + col, n_cols) - first_col
-            # Columns past the last output's reach may lie outside the window; they aren't used.
-            padded[col] = heights[row, min(max(source, 0), heights.shape[1] - 1)]
-        for col in range(n_out):
-            at = 2 * col
-            scratch[row, col] = (
-                _LOW_0 * padded[at + 4]
-                + _LOW_1 * (padded[at + 3] + padded[at + 5])
-                + _LOW_2 * (padded[at + 2] + padded[at + 6])
-                + _LOW_3 * (padded[at + 1] + padded[at + 7])
-                + _LOW_4 * (padded[at] + padded[at + 8])
-            )
-    for row in range(out.shape[0]):
-        at = 2 * (out_row + row)
-        r0 = scratch[at - first_row]
-        r1, r2 = _mirrored(scratch, at, 1, n_rows, first_row)
-        r3, r4 = _mirrored(scratch, at, 2, n_rows, first_row)
-        r5, r6 = _mirrored(scratch, at, 3, n_rows, first_row)
-        r7, r8 = _mirrored(scratch, at, 4, n_rows, first_row)
-        for col in range(n_out):
-            total = (
-                _LOW_0 * r0[col]
-                + _LOW_1 * (r1[col] + r2[col])
-                + _LOW_2 * (r3[col] + r4[col])
-                + _LOW_3 * (r5[col] + r6[col])
-                + _LOW_4 * (r7[col] + r8[col])
-            )
-            out[row, col] = (total + (1 << (2 * _TAP_BITS - 1))) >> (2 * _TAP_BITS)
-
-
-@kernel
-def _mirrored(rows, at, distance, n_rows, first_row):
-    """Return the rows `distance` above and below `at`, mirrored at the level's edges."""
-    above = reflect(at - distance, n_rows) - first_row
-    below = reflect(at + distance, n_rows) - first_row
-    return rows[above], rows[below]
+    places = np.arange(2 * out_first - _HALO, 2 * (out_first + n_out) + _HALO - 1)
+    places %= max(2 * (n - 1), 1)
+    places = np.minimum(places, 2 * (n - 1) - places) - first
+    near = heights[places].astype(np.int64)
+    total = _LOW_0 * near[_HALO : _HALO + 2 * n_out : 2]
+    for k, weight in enumerate((_LOW_1, _LOW_2, _LOW_3, _LOW_4), 1):
+        pair = near[_HALO - k :: 2][:n_out] + near[_HALO + k :: 2][:n_out]
+        pair *= weight
+        total += pair
+    return total
 
 
 @kernel

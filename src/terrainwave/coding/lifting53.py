@@ -13,129 +13,62 @@ the same result (Zheng, Wang, Wang cut coefficients of the whole raster instead)
 Fields are int64. A step at most doubles magnitudes, in each direction.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-
-from terrainwave.coding.jit import kernel
 
 # Held sides of a field.
 HELD_TOP, HELD_LEFT, HELD_BOTTOM, HELD_RIGHT = 1, 2, 4, 8
 
 
-@kernel
-def _forward_line(line, spare, holds_first, holds_last):
-    """Transform `line` in place: s to its front, d behind it. `spare` is as long."""
-    n = line.shape[0]
+def _forward(field: NDArray[np.int64], *, holds_first: bool, holds_last: bool) -> None:
+    """Transform `field` down its columns in place: s to the top, d below it."""
+    n = len(field)
+    if n == 1:
+        return
+    even = field[::2].copy()
+    high = field[1::2] - (_sums_after(even, n >> 1) >> 1)
+    field[: len(even)] = even + _updates(high, n, holds_first, holds_last)
+    field[len(even) :] = high
+
+
+def _inverse(field: NDArray[np.int64], *, holds_first: bool, holds_last: bool) -> None:
+    """Undo `_forward`."""
+    n = len(field)
     if n == 1:
         return
     n_low = (n + 1) >> 1
-    for i in range(n):
-        spare[i] = line[i]
-    for at in range(1, n, 2):
-        right = spare[at + 1] if at + 1 < n else spare[at - 1]
-        line[n_low + (at >> 1)] = spare[at] - ((spare[at - 1] + right) >> 1)
-    for at in range(0, n, 2):
-        i = at >> 1
-        line[i] = spare[at]
-        if (at == 0 and holds_first) or (at == n - 1 and holds_last):
-            continue
-        left = line[n_low + i - 1] if at > 0 else line[n_low]
-        right = line[n_low + i] if at + 1 < n else left
-        line[i] += (left + right + 2) >> 2
+    even = field[:n_low] - _updates(field[n_low:], n, holds_first, holds_last)
+    odd = field[n_low:] + (_sums_after(even, n >> 1) >> 1)
+    field[::2], field[1::2] = even, odd
 
 
-@kernel
-def _inverse_line(line, spare, holds_first, holds_last):
-    """Undo `_forward_line`."""
-    n = line.shape[0]
-    if n == 1:
-        return
-    n_low = (n + 1) >> 1
-    for at in range(0, n, 2):
-        i = at >> 1
-        spare[at] = line[i]
-        if (at == 0 and holds_first) or (at == n - 1 and holds_last):
-            continue
-        left = line[n_low + i - 1] if at > 0 else line[n_low]
-        right = line[n_low + i] if at + 1 < n else left
-        spare[at] -= (left + right + 2) >> 2
-    for at in range(1, n, 2):
-        right = spare[at + 1] if at + 1 < n else spare[at - 1]
-        spare[at] = line[n_low + (at >> 1)] + ((spare[at - 1] + right) >> 1)
-    for i in range(n):
-        line[i] = spare[i]
+def _sums_after(even: NDArray[np.int64], n_odd: int) -> NDArray[np.int64]:
+    """Return the sum of the even samples on both sides of each odd one."""
+    sums = np.empty_like(even, shape=(n_odd, *even.shape[1:]))
+    np.add(even[:-1], even[1:], out=sums[: len(even) - 1])
+    if n_odd == len(even):
+        np.add(even[-1], even[-1], out=sums[-1])
+    return sums
 
 
-@kernel
-def _forward_columns(field, spare, holds_first, holds_last):
-    """Transform all columns as `_forward_line` does, a row at a time."""
-    n, n_cols = field.shape
-    if n == 1:
-        return
-    n_low = (n + 1) >> 1
-    for row in range(n):
-        for col in range(n_cols):
-            spare[row, col] = field[row, col]
-    for at in range(1, n, 2):
-        below = at + 1 if at + 1 < n else at - 1
-        for col in range(n_cols):
-            mean = (spare[at - 1, col] + spare[below, col]) >> 1
-            field[n_low + (at >> 1), col] = spare[at, col] - mean
-    for at in range(0, n, 2):
-        i = at >> 1
-        is_held = (at == 0 and holds_first) or (at == n - 1 and holds_last)
-        above = n_low + i - 1 if at > 0 else n_low
-        below = n_low + i if at + 1 < n else above
-        for col in range(n_cols):
-            field[i, col] = spare[at, col]
-            if not is_held:
-                field[i, col] += (field[above, col] + field[below, col] + 2) >> 2
-
-
-@kernel
-def _inverse_columns(field, spare, holds_first, holds_last):
-    """Undo `_forward_columns`."""
-    n, n_cols = field.shape
-    if n == 1:
-        return
-    n_low = (n + 1) >> 1
-    for at in range(0, n, 2):
-        i = at >> 1
-        is_held = (at == 0 and holds_first) or (at == n - 1 and holds_last)
-        above = n_low + i - 1 if at > 0 else n_low
-        below = n_low + i if at + 1 < n else above
-        for col in range(n_cols):
-            spare[at, col] = field[i, col]
-            if not is_held:
-                spare[at, col] -= (field[above, col] + field[below, col] + 2) >> 2
-    for at in range(1, n, 2):
-        below = at + 1 if at + 1 < n else at - 1
-        for col in range(n_cols):
-            mean = (spare[at - 1, col] + spare[below, col]) >> 1
-            spare[at, col] = field[n_low + (at >> 1), col] + mean
-    for row in range(n):
-        for col in range(n_cols):
-            field[row, col] = spare[row, col]
-
-
-@kernel
-def forward_level(field, spare, line, held):
-    """Transform `field` in place: LL top left, HL top right, LH bottom left, HH bottom right.
-
-    Rows first, then columns. `held` is a sum of HELD_TOP …; `spare` has the field's shape at
-    least, `line` its number of columns.
-    """
-    for row in range(field.shape[0]):
-        _forward_line(field[row], line, held & HELD_LEFT != 0, held & HELD_RIGHT != 0)
-    _forward_columns(field, spare, held & HELD_TOP != 0, held & HELD_BOTTOM != 0)
-
-
-@kernel
-def inverse_level(field, spare, line, held):
-    """Undo `forward_level`."""
-    _inverse_columns(field, spare, held & HELD_TOP != 0, held & HELD_BOTTOM != 0)
-    for row in range(field.shape[0]):
-        _inverse_line(field[row], line, held & HELD_LEFT != 0, held & HELD_RIGHT != 0)
+def _updates(
+    high: NDArray[np.int64], n: int, holds_first: bool, holds_last: bool
+) -> NDArray[np.int64]:
+    """Return what `high` adds to each of the even ones of `n` samples."""
+    sums = np.empty_like(high, shape=((n + 1) >> 1, *high.shape[1:]))
+    np.add(high[0], high[0], out=sums[0])
+    np.add(high[:-1], high[1:], out=sums[1 : len(high)])
+    if n & 1:
+        np.add(high[-1], high[-1], out=sums[-1])
+    sums += 2
+    sums >>= 2
+    if holds_first:
+        sums[0] = 0
+    if holds_last and n & 1:
+        sums[-1] = 0
+    return sums
 
 
 def level_shapes(shape: tuple[int, int], n_levels: int) -> list[tuple[int, int]]:
@@ -144,10 +77,15 @@ def level_shapes(shape: tuple[int, int], n_levels: int) -> list[tuple[int, int]]
 
 
 def forward_transform(field: NDArray[np.int64], n_levels: int, held: int) -> None:
-    """Transform `field` `n_levels` times in place, each time the LL band of the last."""
-    spare, line = np.empty_like(field), np.empty(field.shape[1], dtype=np.int64)
+    """Transform `field` `n_levels` times in place, each time the LL band of the last.
+
+    LL comes top left, HL top right, LH bottom left, HH bottom right. Rows first, then columns.
+    `held` is a sum of HELD_TOP ….
+    """
     for n_rows, n_cols in level_shapes(field.shape, n_levels)[:-1]:
-        forward_level(field[:n_rows, :n_cols], spare, line, held)
+        part = field[:n_rows, :n_cols]
+        _forward(part.T, holds_first=bool(held & HELD_LEFT), holds_last=bool(held & HELD_RIGHT))
+        _forward(part, holds_first=bool(held & HELD_TOP), holds_last=bool(held & HELD_BOTTOM))
 
 
 def inverse_transform(
@@ -157,13 +95,12 @@ def inverse_transform(
 
     These are copies of the LL bands of the inverse stopped early, then the whole field itself.
     """
-    spare, line = np.empty_like(field), np.empty(field.shape[1], dtype=np.int64)
-    shapes = level_shapes(field.shape, n_levels)
-    levels = []
-    for t in range(n_levels - 1, -1, -1):
-        part = field[: shapes[t][0], : shapes[t][1]]
-        inverse_level(part, spare, line, held)
-        levels.append(part.copy() if t else part)
+    levels: list[NDArray[np.int64]] = []
+    for n_rows, n_cols in level_shapes(field.shape, n_levels)[-2::-1]:
+        part = field[:n_rows, :n_cols]
+        _inverse(part, holds_first=bool(held & HELD_TOP), holds_last=bool(held & HELD_BOTTOM))
+        _inverse(part.T, holds_first=bool(held & HELD_LEFT), holds_last=bool(held & HELD_RIGHT))
+        levels.append(part.copy() if len(levels) < n_levels - 1 else part)
     return levels
 
 
@@ -210,64 +147,31 @@ def lowpass_window(
     n_tiles : tuple of int
         Rows and columns of tiles: the borders between them lie on multiples of `tile_cells`.
     """
-    out = np.empty(out_shape, dtype=np.int32)
-    rows = np.empty((heights.shape[0], out_shape[1]), dtype=np.int64)
-    _lowpass_window(heights, first, level_shape, out_first, tile_cells, n_tiles, rows, out)
-    return out
+    cols = _low(
+        heights.T, first[1], level_shape[1], out_first[1], out_shape[1], tile_cells, n_tiles[1]
+    )
+    return _low(
+        cols.T, first[0], level_shape[0], out_first[0], out_shape[0], tile_cells, n_tiles[0]
+    ).astype(np.int32)
 
 
-@kernel
-def _low(left2, left, here, right, right2):
-    """Return s of the sample `here` from its two neighbours on each side."""
-    low = left - ((left2 + here) >> 1)
-    high = right - ((here + right2) >> 1)
-    return here + ((low + high + 2) >> 2)
+def _low(
+    heights: NDArray[Any], first: int, n: int, out_first: int, n_out: int, tile_cells: int,
+    n_tiles: int,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Return s of every second of `n` rows, of which `heights` holds those from `first` on."""
+    places = 2 * (out_first + np.arange(n_out))
+    here = heights[places - first].astype(np.int64)
+    if n == 1:
+        return here
 
+    def beside(distance: int) -> NDArray[np.int64]:
+        at = np.abs(places + distance)
+        at = np.where(at < n, at, 2 * (n - 1) - at).clip(0, n - 1)
+        return heights[at - first].astype(np.int64)
 
-@kernel
-def _mirror(at, n):
-    """Return `at` folded once into 0 … n - 1."""
-    if at < 0:
-        at = -at
-    if at >= n:
-        at = 2 * (n - 1) - at
-    return min(max(at, 0), n - 1)
-
-
-@kernel
-def _is_border(at, tile_cells, n_tiles):
-    """Return whether the sample `at` lies on the border of two of `n_tiles` tiles in a line."""
-    return at % tile_cells == 0 and 0 < at // tile_cells < n_tiles
-
-
-@kernel
-def _lowpass_window(heights, first, level_shape, out_first, tile_cells, n_tiles, rows, out):
-    (first_row, first_col), (n_rows, n_cols) = first, level_shape
-    (out_row, out_col), (n_tile_rows, n_tile_cols) = out_first, n_tiles
-    for row in range(heights.shape[0]):
-        for col in range(out.shape[1]):
-            at = 2 * (out_col + col)
-            here = np.int64(heights[row, at - first_col])
-            rows[row, col] = here
-            if n_cols == 1 or _is_border(at, tile_cells, n_tile_cols):
-                continue
-            rows[row, col] = _low(
-                np.int64(heights[row, _mirror(at - 2, n_cols) - first_col]),
-                np.int64(heights[row, _mirror(at - 1, n_cols) - first_col]),
-                here,
-                np.int64(heights[row, _mirror(at + 1, n_cols) - first_col]),
-                np.int64(heights[row, _mirror(at + 2, n_cols) - first_col]),
-            )
-    for row in range(out.shape[0]):
-        at = 2 * (out_row + row)
-        here = rows[at - first_row]
-        if n_rows == 1 or _is_border(at, tile_cells, n_tile_rows):
-            for col in range(out.shape[1]):
-                out[row, col] = here[col]
-            continue
-        above2 = rows[_mirror(at - 2, n_rows) - first_row]
-        above = rows[_mirror(at - 1, n_rows) - first_row]
-        below = rows[_mirror(at + 1, n_rows) - first_row]
-        below2 = rows[_mirror(at + 2, n_rows) - first_row]
-        for col in range(out.shape[1]):
-            out[row, col] = _low(above2[col], above[col], here[col], below[col], below2[col])
+    low = beside(-1) - ((beside(-2) + here) >> 1)
+    high = beside(1) - ((here + beside(2)) >> 1)
+    tiles = places // tile_cells
+    is_border = (places % tile_cells == 0) & (tiles > 0) & (tiles < n_tiles)
+    return np.where(is_border[:, None], here, here + ((low + high + 2) >> 2))

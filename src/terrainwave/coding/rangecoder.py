@@ -21,7 +21,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import inlined_kernel, kernel, rare_kernel
 from terrainwave.coding.status import Status
 
@@ -43,12 +42,6 @@ _PROB_BITS = 22
 _COUNT_LIMIT = 254
 # Weight of a new bit after `count` earlier ones, in 1/65536: 1/(count + 3/2), at least 1/255.5.
 RATES = np.array([131072 // (2 * n + 3) for n in range(_COUNT_LIMIT + 1)], dtype=np.int64)
-
-# The last weight is 1 / 2**_LAST_RATE: a probability below _LEAST_REST stays.
-_LAST_RATE = 16 - int(RATES[_COUNT_LIMIT]).bit_length() + 1
-_LEAST_REST = 1 << _LAST_RATE
-# Limit of a model after only ones, whatever its start: there further ones do not change it.
-SETTLED_ON_ONES = np.uint32(((1 << _PROB_BITS) - (_LEAST_REST - 1)) << _COUNT_BITS | _COUNT_LIMIT)
 
 MODEL_START = np.uint32(1 << 31)  # probability 1/2, nothing seen
 
@@ -295,102 +288,6 @@ def code_step(at, state, stream, models, is_encoder, index, bit):
     models[index] = _adapted(prob, count, bit)
     span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     return bit, (span, point, pos)
-
-
-@kernel
-def code_ones(at, state, stream, models, is_encoder, index, n):
-    """Code `n` ones with ``models[index]``, each as `code_step` would; return (number, at).
-
-    A decoder stops before a zero. The model of a run stays in registers: a third of the time. Some
-    1300 ones after its last zero, the model no longer changes, and the rest takes no time.
-    """
-    state, stream = borrowed((state, stream))
-    span, point, pos = at
-    index = np.uint64(index)
-    prob, count = _parts_of(models[index])
-    rest = (1 << _PROB_BITS) - prob
-    n_coded = np.int64(0)
-    while n_coded < n:
-        if rest < _LEAST_REST and count == _COUNT_LIMIT:
-            least = _TOP if is_encoder is not None else max(_TOP, point + 1)
-            skipped, span = _skip_ones(span, _scale_of_ones(rest), least, n - n_coded)
-            n_coded += skipped
-            if n_coded == n:
-                break
-        bound = (span >> 16) * _scale_of_ones(rest)
-        if is_encoder is None:
-            if point >= bound:
-                break
-        span = bound
-        rest, count = _after_one(rest, count)
-        n_coded += 1
-        span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
-    models[index] = (((1 << _PROB_BITS) - rest) << _COUNT_BITS) | count
-    return n_coded, (span, point, pos)
-
-
-@kernel
-def code_ones_in_turns(at, state, stream, models, is_encoder, first, second, n):
-    """Code `n` ones as `code_ones` does, with ``models[first]`` and ``models[second]`` in turns."""
-    first, second = np.uint64(first), np.uint64(second)
-    if first == second or models[first] == models[second] == SETTLED_ON_ONES:
-        return code_ones(at, state, stream, models, is_encoder, first, n)
-    state, stream = borrowed((state, stream))
-    span, point, pos = at
-    prob, count = _parts_of(models[first])
-    other_prob, other_count = _parts_of(models[second])
-    rest, other_rest = (1 << _PROB_BITS) - prob, (1 << _PROB_BITS) - other_prob
-    n_coded = np.int64(0)
-    while n_coded < n:
-        bound = (span >> 16) * _scale_of_ones(rest)
-        if is_encoder is None:
-            if point >= bound:
-                break
-        span = bound
-        rest, count = _after_one(rest, count)
-        rest, other_rest, count, other_count = other_rest, rest, other_count, count
-        n_coded += 1
-        span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
-    if n_coded & 1:
-        rest, other_rest, count, other_count = other_rest, rest, other_count, count
-    models[first] = (((1 << _PROB_BITS) - rest) << _COUNT_BITS) | count
-    models[second] = (((1 << _PROB_BITS) - other_rest) << _COUNT_BITS) | other_count
-    return n_coded, (span, point, pos)
-
-
-@inlined_kernel
-def _after_one(rest, count):
-    """Return the probability of a zero and the count of a model after a one."""
-    if count < _COUNT_LIMIT:
-        rest -= (rest * RATES[np.uint64(count)]) >> 16
-        count += 1
-    else:
-        rest -= rest >> _LAST_RATE
-    return rest, count
-
-
-@inlined_kernel
-def _scale_of_ones(rest):
-    """Return the probability of a one in 1/2**16, `rest` that of a zero in 1/2**_PROB_BITS."""
-    return (((1 << _PROB_BITS) - rest) >> 6) | 1
-
-
-@inlined_kernel
-def _skip_ones(span, scale, least, n):
-    """Narrow a range by up to `n` ones in one step; return (number, range).
-
-    A one multiplies the range to ``(span >> 16) * scale`` while it is at least `least`. The model
-    does not change: `scale` is constant, slightly below 2**16. Then the upper part of the range, s,
-    falls by the same amount each time, ⌈lost * s / 2**16⌉, until s is small enough for one less.
-    """
-    lost = (1 << 16) - scale
-    upper = span >> 16
-    fall = upper - ((upper * scale) >> 16)
-    lowest = max(((fall - 1) << 16) // lost + 1, (least + scale - 1) // scale)
-    if upper < lowest:
-        return np.int64(0), span
-    skipped = min((upper - lowest) // fall + 1, n)
-    return skipped, (upper - (skipped - 1) * fall) * scale
 
 
 @inlined_kernel

@@ -62,27 +62,6 @@ def fill_node(values, row, col, size, value):
 
 
 @kernel
-def grow_zero_trees(trees):
-    """Turn flags of significant finest nodes (uint8, 1 = significant) into zero trees, in place."""
-    n_rows, n_cols = trees.shape
-    for i in range(n_rows):
-        for j in range(n_cols):
-            trees[i, j] = 0 if trees[i, j] else 1
-    # Upwards, the first node of a tree represents all; then trees are filled, tallest first.
-    tallest = 0
-    for height in range(1, tree_height(n_rows, n_cols) + 1):
-        size = 1 << height
-        for row in range(0, n_rows, size):
-            for col in range(0, n_cols, size):
-                if _are_children_zero(trees, row, col, height):
-                    tallest = height
-                    trees[row, col] = height + 1
-        if tallest < height:
-            break
-    _fill_trees(trees, tallest)
-
-
-@kernel
 def mark_zero_trees(field, thresholds, trees):
     """Fill `trees` from coefficients: a node is significant if one of its three is not small.
 

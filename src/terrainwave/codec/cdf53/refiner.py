@@ -167,12 +167,7 @@ def pack_head(head: TileHead) -> bytes:
 def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
     """Return the head and the position of the stream after it.
 
-    Raises
-    ------
-    TruncatedStreamError
-        If the bytes end inside the head: reading more may help.
-    CorruptStreamError
-        If they contradict the format.
+    `TruncatedStreamError`: the bytes end inside the head, and reading more may help.
     """
     if not payload:
         raise TruncatedStreamError("a tile has no head")
@@ -275,11 +270,6 @@ def decode_tile(
         The head's block; None for the root tile.
     is_prefix : bool
         `payload` may end anywhere after the head.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the bytes contradict the format.
     """
     if not payload:
         if not spec.has_voids:

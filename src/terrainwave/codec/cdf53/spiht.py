@@ -575,11 +575,6 @@ def decode_field(
     ----------
     is_cut : bool
         `stream` may be any prefix: missing bits are estimated.
-
-    Raises
-    ------
-    CorruptStreamError
-        If a stream that is not cut does not end where its last decision does.
     """
     geometry = geometry_of(shape, n_transforms)
     # A writable copy, because numba infers the types of encoder branches as well.

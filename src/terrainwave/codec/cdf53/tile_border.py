@@ -61,13 +61,7 @@ def encode_borders(field: NDArray[np.int64], n_transforms: int, held: int) -> by
 
 
 def decode_borders(stream: bytes, field: NDArray[np.int64], n_transforms: int, held: int) -> None:
-    """Set the coefficients that `encode_borders` took from the field.
-
-    Raises
-    ------
-    CorruptStreamError
-        If the stream does not end where its last coefficient does.
-    """
+    """Set the coefficients that `encode_borders` took from the field."""
     coder = new_decoder(stream, new_models(_N_CONTEXTS * MAGNITUDE_MODELS))
     for line in border_lines(field, n_transforms, held):
         values = np.empty(line.size, dtype=np.int64)

@@ -130,22 +130,13 @@ def new_scratch(n_cols: int) -> ResidualRows:
     )
 
 
-@kernel
-def frame_base(base):
-    """Extend a base (int64, frame of two) antisymmetrically about its outermost samples."""
-    last_row, last_col = base.shape[0] - FRAME - 1, base.shape[1] - FRAME - 1
-    for row in range(FRAME, last_row + 1):
-        line = base[row]
+def frame_base(base: NDArray[np.int64]) -> None:
+    """Extend a base (frame of two) antisymmetrically about its outermost samples."""
+    for lines in (base[FRAME:-FRAME].T, base):
+        last = len(lines) - FRAME - 1
         for k in range(1, FRAME + 1):
-            line[FRAME - k] = 2 * line[FRAME] - line[min(FRAME + k, last_col)]
-            line[last_col + k] = 2 * line[last_col] - line[max(last_col - k, FRAME)]
-    for k in range(1, FRAME + 1):
-        above, below = base[FRAME - k], base[last_row + k]
-        first, inner = base[FRAME], base[min(FRAME + k, last_row)]
-        last, before = base[last_row], base[max(last_row - k, FRAME)]
-        for col in range(base.shape[1]):
-            above[col] = 2 * first[col] - inner[col]
-            below[col] = 2 * last[col] - before[col]
+            lines[FRAME - k] = 2 * lines[FRAME] - lines[min(FRAME + k, last)]
+            lines[last + k] = 2 * lines[last] - lines[max(last - k, FRAME)]
 
 
 @kernel

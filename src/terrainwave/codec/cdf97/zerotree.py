@@ -7,6 +7,8 @@ Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A nod
 transform t holds HL, LH and HH at its place; the root also LL.
 """
 
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -107,43 +109,43 @@ def node_offsets(n_rows, n_cols, offsets):
     return count
 
 
-@kernel
-def mark_labels(quants, offsets, labels):
-    """Label every node of `quants` (int32, layout of the transform); return the number of JS."""
-    n_rows, n_cols = quants.shape
-    count = n_transforms(n_rows, n_cols)
-    for level in range(count - 1, -1, -1):
-        t = count - 1 - level
-        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
-        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
-        child_rows, child_cols = ((n_rows - 1) >> t) + 1, ((n_cols - 1) >> t) + 1
-        for i in range(rows):
-            low_row = quants[(2 * i) << t]
-            for j in range(cols):
-                is_js = j < high_cols and low_row[cols + j] != 0
-                if i < high_rows and not is_js:
-                    high_row = quants[(2 * i + 1) << t]
-                    is_js = high_row[j] != 0 or (j < high_cols and high_row[cols + j] != 0)
-                if level < count - 1 and not is_js:
-                    for ci in range(2 * i, min(2 * i + 2, child_rows)):
-                        for cj in range(2 * j, min(2 * j + 2, child_cols)):
-                            child = offsets[level + 1] + ci * child_cols + cj
-                            is_js = is_js or labels[child] == JS
-                labels[offsets[level] + i * cols + j] = JS if is_js else JZTR
-    n_significant = 0
-    for level in range(count):
-        t = count - 1 - level
-        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
-        parent_cols = ((n_cols - 1) >> (t + 2)) + 1
-        for i in range(rows):
-            for j in range(cols):
-                node = offsets[level] + i * cols + j
-                if labels[node] == JS:
-                    n_significant += 1
-                elif level > 0:
-                    parent = offsets[level - 1] + (i >> 1) * parent_cols + (j >> 1)
-                    labels[node] = JZTR if labels[parent] == JS else JZTC
-    return n_significant
+def places_of_bands(shape: tuple[int, ...]) -> Iterator[tuple[tuple[slice, slice], int, int]]:
+    """Yield where the coefficients of each transform and band lie in a field."""
+    count = n_transforms(*shape)
+    for t in range(count):
+        low, cols = ((shape[1] - 1) >> (t + 1)) + 1, ((shape[1] - 1) >> t) + 1
+        even, odd = slice(None, None, 2 << t), slice(1 << t, None, 2 << t)
+        yield (even, slice(low, cols)), t, int(HL)
+        yield (odd, slice(0, low)), t, int(LH)
+        yield (odd, slice(low, cols)), t, int(HH)
+    yield (slice(1), slice(1)), count - 1, int(LL)
+
+
+def mark_labels(
+    quants: NDArray[np.int32], offsets: NDArray[np.int64], labels: NDArray[np.uint8]
+) -> int:
+    """Label every node of `quants` (layout of the transform); return the number of JS."""
+    (n_rows, n_cols), count = quants.shape, n_transforms(*quants.shape)
+    is_js = [
+        np.zeros((((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1), dtype=np.bool_)
+        for t in range(count)
+    ]
+    for at, t, band in places_of_bands(quants.shape):
+        if band != LL:
+            found = quants[at] != 0
+            is_js[t][: found.shape[0], : found.shape[1]] |= found
+    for below, here in pairwise(is_js):
+        for i, j in np.ndindex(2, 2):
+            child = below[i::2, j::2]
+            here[: child.shape[0], : child.shape[1]] |= child
+    is_open = np.ones((1, 1), dtype=np.bool_)  # the root has no parent
+    for level, significant in enumerate(is_js[::-1]):
+        rows, cols = significant.shape
+        inside = is_open.repeat(2, 0).repeat(2, 1)[:rows, :cols]
+        grid = np.where(significant, JS, np.where(inside, JZTR, JZTC))
+        labels[offsets[level] : offsets[level + 1]] = grid.ravel()
+        is_open = significant
+    return sum(int(np.count_nonzero(grid)) for grid in is_js)
 
 
 @kernel
@@ -373,25 +375,16 @@ def measure_roughness(parent, first_row, first_col, step, rough):
             rough[i, j] = min(_ROUGH_GAIN * bend // step, ROUGH_LIMIT)
 
 
-@kernel
-def choose_along(quants):
+def choose_along(quants: NDArray[np.int32]) -> int:
     """Return 1 if HL runs down its columns, plus 2 if LH runs along its rows, on the finest level.
 
     Decided by the differences of neighbouring magnitudes along and across.
     """
-    n_rows, n_cols = quants.shape
-    rows, cols = (n_rows + 1) >> 1, (n_cols + 1) >> 1
-    down = across = 0
-    for i in range(1, rows):
-        for j in range(cols + 1, n_cols):
-            mag = min(abs(int(quants[2 * i, j])), MAX_MAG)
-            down += abs(mag - min(abs(int(quants[2 * i - 2, j])), MAX_MAG))
-            across += abs(mag - min(abs(int(quants[2 * i, j - 1])), MAX_MAG))
-    along = 1 if 4 * down < 3 * across else 0
-    down = across = 0
-    for i in range(1, n_rows - rows):
-        for j in range(1, cols):
-            mag = min(abs(int(quants[2 * i + 1, j])), MAX_MAG)
-            down += abs(mag - min(abs(int(quants[2 * i - 1, j])), MAX_MAG))
-            across += abs(mag - min(abs(int(quants[2 * i + 1, j - 1])), MAX_MAG))
-    return along + (2 if 4 * across < 3 * down else 0)
+    mags = np.minimum(np.abs(quants.astype(np.int64)), MAX_MAG)
+    cols = (quants.shape[1] + 1) >> 1
+    totals = []
+    for band in (mags[::2, cols:], mags[1::2, :cols]):
+        here = band[1:, 1:]
+        totals.append([int(np.abs(here - other).sum()) for other in (band[:-1, 1:], band[1:, :-1])])
+    (down, across), (lh_down, lh_across) = totals
+    return int(4 * down < 3 * across) + 2 * int(4 * lh_across < 3 * lh_down)

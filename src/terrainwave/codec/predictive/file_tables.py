@@ -82,50 +82,19 @@ def is_empty(added: FileTables) -> bool:
     return not any(added.stencils[p] or added.e_weights[p] is not None for p in PLANES)
 
 
-def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
-    """Code a value (ignored by a decoder); return it."""
-    return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
-
-
 def pack_file_tables(added: FileTables) -> bytes:
     """Return the parameters section; no bytes if there is nothing to store."""
     if is_empty(added):
         return b""
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(3 * MAGNITUDE_MODELS))
-    for plane in PLANES:
-        code_raw(coder, 4, len(added.stencils[plane]))
-        missing = missing_tap(plane)
-        is_core = _core_taps(plane)
-        for stencil in added.stencils[plane]:
-            code_raw(coder, 4, stencil.base)
-            code_raw(coder, 3, stencil.shift)
-            for tap, delta in enumerate(stencil.deltas):
-                if tap == missing:
-                    continue
-                first = _CORE if is_core[tap] else _OTHER
-                _code_magnitude(coder, first, abs(delta))
-                if delta:
-                    code_raw(coder, 1, int(delta < 0))
-        features = added.e_weights[plane]
-        code_raw(coder, 1, int(features is not None))
-        if features is not None:
-            for weight in features:
-                _code_magnitude(coder, _FEATURE, int(weight))
+    _code_tables(coder, added)
     n_bytes = finish_encoder(coder.state, out)
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
 
 def parse_file_tables(section: bytes) -> FileTables:
-    """Undo `pack_file_tables`; the bytes are untrusted.
-
-    Raises
-    ------
-    UnsupportedVersionError
-        If the layout is unknown.
-    CorruptStreamError
-        If a value is out of range or the section does not end where it should.
-    """
+    """Undo `pack_file_tables`; the bytes are untrusted."""
     if not section:
         return NO_TABLES
     if section[0] != _LAYOUT:
@@ -134,46 +103,51 @@ def parse_file_tables(section: bytes) -> FileTables:
             " know: install a newer one"
         )
     coder = new_decoder(section[1:], new_models(3 * MAGNITUDE_MODELS))
-    added = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
-    for plane in PLANES:
-        n_sets = int(code_raw(coder, 4, 0))
-        if n_sets + len(trained.STENCILS[plane]) > MAX_SETS:
-            raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
-        for _ in range(n_sets):
-            stencil = _parse_stencil(coder, plane)
-            weights_of(plane, stencil)  # checks them
-            added.stencils[plane].append(stencil)
-        if code_raw(coder, 1, 0):
-            added.e_weights[plane] = _parse_features(coder)
+    added = _code_tables(coder, None)
     raise_for_status(*finish_decoder(coder.state, coder.stream))
     return added
 
 
-@cache
-def _core_taps(plane: int) -> list[bool]:
+def _code_tables(coder: Coder, goal: FileTables | None) -> FileTables:
+    """Encode tables, or decode them if `goal` is None; return them."""
+    found = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+    for plane in PLANES:
+        stencils = [] if goal is None else goal.stencils[plane]
+        n_sets = int(code_raw(coder, 4, len(stencils)))
+        if goal is None and n_sets + len(trained.STENCILS[plane]) > MAX_SETS:
+            raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
+        nothing = FileStencil(0, 0, (0,) * len(TAPS[plane]))
+        for stencil in stencils or [nothing] * n_sets:
+            coded = _code_stencil(coder, plane, stencil)
+            if goal is None:
+                weights_of(plane, coded)  # checks them
+            found.stencils[plane].append(coded)
+        features = None if goal is None else goal.e_weights[plane]
+        if code_raw(coder, 1, int(features is not None)):
+            known = [0] * N_FEATURES if features is None else features.tolist()
+            weights = [_code_magnitude(coder, _FEATURE, weight) for weight in known]
+            if goal is None and max(weights) > MAX_FEATURE_WEIGHT:
+                raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
+            found.e_weights[plane] = np.array(weights, dtype=np.int64)
+    return found
+
+
+def _code_stencil(coder: Coder, plane: int, goal: FileStencil) -> FileStencil:
+    """Code a stencil (ignored by a decoder); return it."""
+    base, shift = int(code_raw(coder, 4, goal.base)), int(code_raw(coder, 3, goal.shift))
     core = {tuple(tap) for tap in CORES[plane]}
-    return [tuple(tap) in core for tap in TAPS[plane]]
-
-
-def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
-    base = int(code_raw(coder, 4, 0))
-    shift = int(code_raw(coder, 3, 0))
     deltas = []
-    missing = missing_tap(plane)
-    for tap, is_core in enumerate(_core_taps(plane)):
-        delta = 0
-        if tap != missing:
-            delta = _code_magnitude(coder, _CORE if is_core else _OTHER)
-            if delta > 2 * MAX_WEIGHT:
+    for tap, (place, delta) in enumerate(zip(TAPS[plane], goal.deltas, strict=True)):
+        size = 0
+        if tap != missing_tap(plane):
+            first = _CORE if tuple(place) in core else _OTHER
+            size = _code_magnitude(coder, first, abs(delta))
+            if coder.is_encoder is None and size > 2 * MAX_WEIGHT:
                 raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-            if delta and code_raw(coder, 1, 0):
-                delta = -delta
-        deltas.append(delta)
+        deltas.append(-size if size and code_raw(coder, 1, int(delta < 0)) else size)
     return FileStencil(base, shift, tuple(deltas))
 
 
-def _parse_features(coder: Coder) -> NDArray[np.int64]:
-    weights = [_code_magnitude(coder, _FEATURE) for _ in range(N_FEATURES)]
-    if max(weights) > MAX_FEATURE_WEIGHT:
-        raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
-    return np.array(weights, dtype=np.int64)
+def _code_magnitude(coder: Coder, first: int, value: int) -> int:
+    """Code a value (ignored by a decoder); return it."""
+    return int(code_magnitude(coder, first, first + N_UNARY, 0, value))

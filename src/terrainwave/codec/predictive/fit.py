@@ -145,24 +145,32 @@ def _gather(
     plane: int, windows: list[tuple[Heights, Mask]], n_in_file: float, step: int
 ) -> _Samples | None:
     """Collect samples of a plane from windows; None if there are too few."""
-    parity = np.array(_PARITY[plane], dtype=np.int64)
     taps, core = _offsets(plane, TAPS[plane]), _offsets(plane, CORES[plane])
     n_places = sum(heights.size >> 2 for heights, _ in windows)
     n_wanted = min(_MAX_SAMPLES, int(n_in_file) // _EVERY)
     if n_wanted < _MIN_SAMPLES:
         return None
     every = max(1, n_places // n_wanted)
-    rows = np.empty((n_places // every + 1, taps.shape[0]), dtype=np.float64)
-    goals = np.empty(rows.shape[0], dtype=np.float64)
-    n_found = place = 0
+    rows, goals, n_before = [], [], 0
     for heights, mask in windows:
-        n_found, place = gather_window(
-            heights, mask, parity, taps, core, every, 1.0 / step, rows, goals, n_found, place
-        )
-    if n_found < _MIN_SAMPLES:
+        (row, col), (n_rows, n_cols) = _PARITY[plane], heights.shape
+        grid = np.mgrid[row + _MARGIN : n_rows - _MARGIN : 2, col + _MARGIN : n_cols - _MARGIN : 2]
+        places = grid.reshape(2, -1).T
+        chosen = places[(np.arange(1, len(places) + 1) + n_before) % every == 0]
+        n_before += len(places)
+        chosen = chosen[_at(mask, chosen) & _at(mask, chosen[:, None] + taps).all(axis=1)]
+        means = _at(heights, chosen[:, None] + core).sum(axis=1, dtype=np.int64) * 0.25
+        rows.append((_at(heights, chosen[:, None] + taps) - means[:, None]) * (1.0 / step))
+        goals.append((_at(heights, chosen) - means) * (1.0 / step))
+    found = np.ascontiguousarray(np.concatenate(rows))
+    if len(found) < _MIN_SAMPLES:
         return None
-    n_valid = n_in_file * n_found * every / n_places
-    return _Samples(rows[:n_found], goals[:n_found], min(n_valid, n_in_file))
+    n_valid = n_in_file * len(found) * every / n_places
+    return _Samples(found, np.concatenate(goals), min(n_valid, n_in_file))
+
+
+def _at(samples: NDArray[Any], places: NDArray[np.int64]) -> NDArray[Any]:
+    return samples[places[..., 0], places[..., 1]]
 
 
 def _offsets(plane: int, resolved: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -176,30 +184,6 @@ def _offsets(plane: int, resolved: NDArray[np.int64]) -> NDArray[np.int64]:
         ],
         dtype=np.int64,
     )
-
-
-@kernel
-def gather_window(heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place):
-    """Append every `every`-th position whose taps are all valid; return the new counts."""
-    for row in range(_MARGIN + parity[0], heights.shape[0] - _MARGIN, 2):
-        for col in range(_MARGIN + parity[1], heights.shape[1] - _MARGIN, 2):
-            place += 1
-            if place % every or n_found >= rows.shape[0] or not mask[row, col]:
-                continue
-            is_valid = True
-            for k in range(taps.shape[0]):
-                is_valid &= mask[row + taps[k, 0], col + taps[k, 1]]
-            if not is_valid:
-                continue
-            total = np.int64(0)
-            for k in range(4):
-                total += heights[row + core[k, 0], col + core[k, 1]]
-            mean = total * 0.25
-            for k in range(taps.shape[0]):
-                rows[n_found, k] = (heights[row + taps[k, 0], col + taps[k, 1]] - mean) * scale
-            goals[n_found] = (heights[row, col] - mean) * scale
-            n_found += 1
-    return n_found, place
 
 
 def _fit_stencil(plane: int, samples: _Samples, noise: float) -> FileStencil | None:

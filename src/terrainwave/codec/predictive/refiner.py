@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.magnitudes import N_DETAIL_MODELS, N_MIXERS, cell_limits
 from terrainwave.codec.planes import (
-    HH,
-    HL,
-    LH,
     PAD,
     PASSES,
     A,
@@ -62,7 +59,6 @@ from terrainwave.codec.refiner import (
     as_array,
 )
 from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
-from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     OUT_POS,
     RANGE,
@@ -76,14 +72,11 @@ from terrainwave.coding.rangecoder import (
     new_mixers,
 )
 from terrainwave.coding.status import raise_for_status
-from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.sample_windows import HeightsOf, MaskOf
 
 _MIXED, _CLAMP = 1, 2
-# A prediction's own fraction gives up to 16 of 32.
-_HALF_STEP = 16
 # Lattices of fewer samples use the first stencil set; others state theirs.
 _MIN_CHOICE = 1024
 _SET_BITS = 4
@@ -217,9 +210,9 @@ class PredictiveRefiner:
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
         coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, flags, self._tables)
-        heights, trees = _code_unit(spec, parent, target, mask, unit, corrections)
+        heights = _code_unit(spec, parent, target, mask, unit, corrections)
         n_bytes = finish_encoder(coder.state, out)
-        return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
 
     def decode(
         self,
@@ -229,22 +222,16 @@ class PredictiveRefiner:
         payload: bytes,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
-        """Rebuild the heights of ``spec.region``.
-
-        Raises
-        ------
-        CorruptStreamError
-            If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
-        """
+        """Rebuild the heights of ``spec.region``."""
         if not payload:
             raise TruncatedStreamError("the payload is empty")
         if payload[0] & ~(_MIXED | _CLAMP):
             raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
         coder = new_decoder(payload[1:], trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, payload[0], self._tables)
-        heights, trees = _code_unit(spec, parent, None, mask, unit, corrections)
+        heights = _code_unit(spec, parent, None, mask, unit, corrections)
         raise_for_status(*finish_decoder(coder.state, coder.stream))
-        return heights, trees
+        return heights, None
 
 
 def _fit_e_weights(
@@ -311,11 +298,8 @@ def _code_unit(
     mask: Mask | None,
     unit: _Unit,
     corrections: Corrections,
-) -> tuple[Heights, Labels | None]:
-    """Encode `target`, or decode if it is None.
-
-    Return the decoded heights of the region and, of a group, the zero trees of its core.
-    """
+) -> Heights:
+    """Encode `target`, or decode if it is None; return the decoded heights of the region."""
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     mask = as_array(mask, spec.region.shape)
@@ -329,7 +313,6 @@ def _code_unit(
     if any(spec.shared):
         kinds[is_known[core]] = KNOWN
     goal = None if target is None else np.ascontiguousarray(target[core])
-    trees = None
     if parent is None:
         stride = 1
         while stride < max(inner.shape) - 1:
@@ -349,14 +332,10 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        errors = _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
-        if spec.wants_labels:
-            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
-            mark_significant(errors, *inner.shape, trees)
-            grow_zero_trees(trees)
+        _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
     if inner.base is not heights:
         heights[core] = inner
-    return heights, trees
+    return heights
 
 
 def _code_corners(
@@ -385,12 +364,8 @@ def _code_lattice(
     spec: GroupSpec,
     unit: _Unit,
     corrections: Corrections = NO_CORRECTIONS,
-) -> NDArray[np.int32]:
-    """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
-
-    Return the errors of prediction, in planes as `planes.split` makes them; coding the next lattice
-    overwrites them.
-    """
+) -> None:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples."""
     shape = heights.shape
     sizes = plane_sizes(shape)
     most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
@@ -410,34 +385,25 @@ def _code_lattice(
         if 0 in sizes[own]:
             continue
         row_parity, col_parity = parity(own)
-        stencils = unit.tables.stencils[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
         own_part = slice(row_parity, None, 2), slice(col_parity, None, 2)
         changes = Corrections(*map(np.ascontiguousarray, _part(corrections, own_part)))
-        choice = Choice(0, _N_CLASSES - 1)
-        has_header = shape[0] * shape[1] >= _MIN_CHOICE
-        if has_header and own_goal is not None:
-            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit, changes.kept)
-            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit, changes)
+        plane = _Plane(own_goal, own_kinds, geometry, spec, scratch, unit, changes)
+        if shape[0] * shape[1] < _MIN_CHOICE:
+            plane.code(Choice(0, _N_CLASSES - 1))
+        elif own_goal is None:
+            plane.code(plane.read_choice())
         else:
-            if has_header:
-                code = int(code_raw(unit.coder, _SET_BITS + 2, 0))
-                choice = Choice(code >> 2, code & 3)
-                if choice.stencil_set >= len(stencils) or choice.e_class >= len(
-                    unit.tables.e_weights[own]
-                ):
-                    raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
-            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, unit, changes)
+            plane.encode_smallest(own_goal)
         if changes.kept.size:
             corrections.added[own_part] = changes.added
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
-    return errors
 
 
 def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
@@ -445,166 +411,130 @@ def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
     return Corrections(*(part[at] if part.size else part for part in corrections))
 
 
-@kernel
-def mark_significant(errors, n_rows, n_cols, significant):
-    """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
+class _Plane(NamedTuple):
+    """A plane of a lattice being coded."""
 
-    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and (i +
-    1, j). A detail is significant if the prediction is off by half a step or more, in the 1/32
-    steps of `errors`: details that are not 0 (with step 1, rounding distinguishes them only to
-    1/64), and likewise samples known from a shared line.
-    """
-    for i in range(significant.shape[0]):
-        hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
-        has_row_below = 2 * i + 1 < n_rows
-        for j in range(significant.shape[1]):
-            largest = np.int64(0)
-            if 2 * j + 1 < n_cols:
-                largest = np.int64(hl[j + PAD])
-                if has_row_below:
-                    largest = max(largest, np.int64(hh[j + PAD]))
-            if has_row_below:
-                largest = max(largest, np.int64(lh[j + PAD]))
-            significant[i, j] = 1 if largest > _HALF_STEP else 0
+    goal: Heights | None
+    kinds: NDArray[np.uint8]
+    geometry: Pass
+    spec: GroupSpec
+    scratch: _Scratch
+    unit: _Unit
+    corrections: Corrections
 
+    @property
+    def stencils(self) -> NDArray[np.int64]:
+        return self.unit.tables.stencils[self.geometry.plane]
 
-def _run_pass(
-    goal: Heights | None,
-    kinds: NDArray[np.uint8],
-    geometry: Pass,
-    choice: Choice,
-    spec: GroupSpec,
-    scratch: _Scratch,
-    unit: _Unit,
-    corrections: Corrections,
-) -> None:
-    """Encode or decode one plane with the tables chosen."""
-    own = geometry.plane
-    weights = unit.tables.stencils[own][choice.stencil_set]
-    e_weights = unit.tables.e_weights[own][choice.e_class]
-    limits = cell_limits(spec.step) if unit.flags & _MIXED else None
-    tables = PassTables(weights, e_weights, bool(unit.flags & _CLAMP), limits)
-    code_pass(
-        goal, kinds, scratch.arrays, geometry, tables, Range(spec.step, spec.z_min, spec.z_max),
-        scratch.rows.of(weights, e_weights), unit.coder, unit.mixers,
-        Corrections(corrections.kept.ravel(), corrections.added.ravel()),
-    )  # fmt: skip
-    if unit.seen is not None:
-        unit.seen[own].append(features_of(kinds, scratch.arrays, geometry, tables, spec.step))
+    @property
+    def e_weights(self) -> NDArray[np.int64]:
+        return self.unit.tables.e_weights[self.geometry.plane]
 
+    def code(self, choice: Choice) -> None:
+        """Encode or decode the plane with the tables chosen."""
+        own, spec, unit, arrays = self.geometry.plane, self.spec, self.unit, self.scratch.arrays
+        weights, e_weights = self.stencils[choice.stencil_set], self.e_weights[choice.e_class]
+        limits = cell_limits(spec.step) if unit.flags & _MIXED else None
+        tables = PassTables(weights, e_weights, bool(unit.flags & _CLAMP), limits)
+        code_pass(
+            self.goal, self.kinds, arrays, self.geometry, tables,
+            Range(spec.step, spec.z_min, spec.z_max), self.scratch.rows.of(weights, e_weights),
+            unit.coder, unit.mixers, Corrections(*(part.ravel() for part in self.corrections)),
+        )  # fmt: skip
+        if unit.seen is not None:
+            unit.seen[own].append(features_of(self.kinds, arrays, self.geometry, tables, spec.step))
 
-def _choose(
-    goal: Heights,
-    kinds: NDArray[np.uint8],
-    geometry: Pass,
-    spec: GroupSpec,
-    scratch: _Scratch,
-    unit: _Unit,
-    kept: Heights,
-) -> list[Choice]:
-    """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
+    def read_choice(self) -> Choice:
+        code = int(code_raw(self.unit.coder, _SET_BITS + 2, 0))
+        choice = Choice(code >> 2, code & 3)
+        if choice.stencil_set >= len(self.stencils) or choice.e_class >= len(self.e_weights):
+            raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
+        return choice
 
-    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. If
-    heights must stay, only the set that they were coded with is: with another one, each would take
-    a correction.
-    """
-    own, planes = geometry.plane, scratch.arrays.planes
-    saved = planes[own].copy()
-    fill_noisy(goal, planes[own], spec.step)
-    every = 8 if goal.size > 16384 else 2
-    costs = [
-        open_loop_cost(
-            goal, kinds, planes, own, geometry, weights, spec.step, every,
-            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
-        )
-        for weights in unit.tables.stencils[own]
-    ]  # fmt: skip
-    coded_with = _set_of_kept(goal, kinds, kept, geometry, spec, scratch, unit)
-    planes[own] = saved
-    ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
-    # Costs include 64, log8(256), for each sample, whatever its error.
-    base = 64 * costs[0][2]
-    limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
-    ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
-    if coded_with is not None:
-        ranking = [coded_with]
-    # A file's own weights replace the last class.
-    last = len(unit.tables.e_weights[own]) - 1
-    classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
-    return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
-        Choice(0, _N_CLASSES - 1)
-    ]
+    def encode_smallest(self, goal: Heights) -> None:
+        """Encode the plane with the one of several choices that takes least, and that choice.
 
+        The likeliest is tried last, so that the result of the last trial usually needs no copy.
+        """
+        choices = self._choices(goal)
+        own, coder = self.geometry.plane, self.unit.coder
+        planes, errors, activity, _ = self.scratch.arrays
+        # Bytes before this one are final.
+        first = max(int(coder.state[OUT_POS]), 0)
+        arrays = [
+            coder.state, coder.models, self.unit.mixers, coder.stream[first:],
+            planes[own], errors[own], activity[own], self.corrections.added,
+        ]  # fmt: skip
+        start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
+        known = planes[own].copy() if len(choices) > 1 else planes[own]
+        kept: list[NDArray[np.generic]] = []
+        smallest = 1 << 62
+        for n_left, choice in reversed(list(enumerate(choices))):
+            if start and n_left < len(choices) - 1:
+                coder.state[:], coder.models[:], self.unit.mixers[:] = start
+                planes[own] = known
+            code_raw(coder, _SET_BITS + 2, choice.stencil_set * 4 + choice.e_class)
+            self.code(choice)
+            n_bits = 8 * int(n_bytes_begun(coder.state)) - int(coder.state[RANGE]).bit_length()
+            if n_bits <= smallest:
+                smallest, kept = n_bits, []
+                if n_left:
+                    arrays[3] = coder.stream[first : max(int(coder.state[OUT_POS]), first)]
+                    kept = [array.copy() for array in arrays]
+        for array, values in zip(arrays, kept, strict=False):
+            array[:] = values
 
-def _set_of_kept(
-    goal: Heights,
-    kinds: NDArray[np.uint8],
-    kept: Heights,
-    geometry: Pass,
-    spec: GroupSpec,
-    scratch: _Scratch,
-    unit: _Unit,
-) -> int | None:
-    """Return the stencil set that reaches most heights that must stay; None if it reaches none.
+    def _choices(self, goal: Heights) -> list[Choice]:
+        """Return the stencil sets and classes of contexts to try, the likeliest first.
 
-    Overwrites the plane of the pass.
-    """
-    if not kept.size:
-        return None
-    own, n_rows, n_cols = geometry.plane, *goal.shape
-    planes = scratch.arrays.planes
-    planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
-    reached = [
-        n_reached(
-            goal, kinds, kept.ravel(), planes, own, geometry, weights,
-            bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
-        )
-        for weights in unit.tables.stencils[own]
-    ]  # fmt: skip
-    most = int(np.argmax(reached))
-    return most if reached[most] else None
+        Sets are ranked by their errors on some rows; the best few, if close, are worth trying. If
+        heights must stay, only the set that they were coded with is: with another one, each would
+        take a correction.
+        """
+        own, spec, planes = self.geometry.plane, self.spec, self.scratch.arrays.planes
+        saved = planes[own].copy()
+        fill_noisy(goal, planes[own], spec.step)
+        every = 8 if goal.size > 16384 else 2
+        costs = [
+            open_loop_cost(
+                goal, self.kinds, planes, own, self.geometry, weights, spec.step, every,
+                self.scratch.rows.of(weights, self.e_weights[0]),
+            )
+            for weights in self.stencils
+        ]  # fmt: skip
+        coded_with = self._set_of_kept(goal)
+        planes[own] = saved
+        ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
+        # Costs include 64, log8(256), for each sample, whatever its error.
+        base = 64 * costs[0][2]
+        limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
+        ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
+        if coded_with is not None:
+            ranking = [coded_with]
+        # A file's own weights replace the last class.
+        last = len(self.e_weights) - 1
+        classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+        return [
+            Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking
+        ] or [Choice(0, _N_CLASSES - 1)]
 
+    def _set_of_kept(self, goal: Heights) -> int | None:
+        """Return the stencil set that reaches most heights that must stay; None if it reaches none.
 
-def _encode_smallest(
-    goal: Heights,
-    kinds: NDArray[np.uint8],
-    geometry: Pass,
-    choices: list[Choice],
-    spec: GroupSpec,
-    scratch: _Scratch,
-    unit: _Unit,
-    corrections: Corrections,
-) -> None:
-    """Encode a plane with the one of `choices` that takes least, and that choice.
-
-    The likeliest is tried last, so that the result of the last trial usually needs no copy.
-    """
-    own = geometry.plane
-    planes, errors, activity, _ = scratch.arrays
-    # Bytes before this one are final.
-    first = max(int(unit.coder.state[OUT_POS]), 0)
-    arrays = [
-        unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
-        planes[own], errors[own], activity[own], corrections.added,
-    ]  # fmt: skip
-    start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
-    known = planes[own].copy() if len(choices) > 1 else planes[own]
-    kept: list[NDArray[np.generic]] = []
-    smallest = 1 << 62
-    for n_left, choice in reversed(list(enumerate(choices))):
-        if start and n_left < len(choices) - 1:
-            unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
-            planes[own] = known
-        code = choice.stencil_set * 4 + choice.e_class
-        code_raw(unit.coder, _SET_BITS + 2, code)
-        _run_pass(goal, kinds, geometry, choice, spec, scratch, unit, corrections)
-        n_bits = 8 * int(n_bytes_begun(unit.coder.state))
-        n_bits -= int(unit.coder.state[RANGE]).bit_length()
-        if n_bits <= smallest:
-            smallest, kept = n_bits, []
-            if n_left:
-                arrays[3] = unit.coder.stream[first : max(int(unit.coder.state[OUT_POS]), first)]
-                kept = [array.copy() for array in arrays]
-    for array, values in zip(arrays, kept, strict=False):
-        array[:] = values
+        Overwrites the plane.
+        """
+        kept, spec, planes = self.corrections.kept, self.spec, self.scratch.arrays.planes
+        if not kept.size:
+            return None
+        own, n_rows, n_cols = self.geometry.plane, *goal.shape
+        planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+        reached = [
+            n_reached(
+                goal, self.kinds, kept.ravel(), planes, own, self.geometry, weights,
+                bool(self.unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+                self.scratch.rows.of(weights, self.e_weights[0]),
+            )
+            for weights in self.stencils
+        ]  # fmt: skip
+        most = int(np.argmax(reached))
+        return most if reached[most] else None
