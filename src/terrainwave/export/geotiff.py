@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,15 @@ from terrainwave.arguments import (
 )
 from terrainwave.container.targets.publication import refuse_own_source
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TerrainwaveWarning
-from terrainwave.export.ellipsoidal import AboveEllipsoid, above_ellipsoid
 from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.geotiff.sink import RasterSink
 from terrainwave.read.lost import Losses
+
+if TYPE_CHECKING:
+    from terrainwave.export.ellipsoidal import AboveEllipsoid
 
 # Samples of one window: whole rows of groups if they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
@@ -168,6 +170,9 @@ def decompress(
 
         stated: dict[str, str] = {}
         if is_converted:
+            # Few conversions need it.
+            from terrainwave.export.ellipsoidal import above_ellipsoid
+
             converted = above_ellipsoid(terrain, info, level, is_early=quality is not None)
             info, stated = converted.info, converted.stated
             read = partial(_converted, converted, read, region)
@@ -256,7 +261,7 @@ def _may_have_heights(terrain: TerrainFile, level: int, region: Region) -> bool:
 
 
 def _converted(
-    converted: AboveEllipsoid, read: Callable[[Region], _Samples], region: Region, part: Region
+    converted: "AboveEllipsoid", read: Callable[[Region], _Samples], region: Region, part: Region
 ) -> _Samples:
     """Return a part of a region, converted to heights above the ellipsoid."""
     heights, valid = read(part)
