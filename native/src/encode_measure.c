@@ -36,14 +36,15 @@ ALSO_AVX2 void twz_python_range_and_error(const int32_t *originals, const uint8_
 #define DEVIATION(name, number, bits)                                                                                          \
   static ALSO_AVX2 int64_t name(const deviation_job *job) {                                                                              \
     const int32_t n = job->n_places, shift = job->shift, n_cells = (n - 1) >> shift, first = job->first_col >> shift;          \
+    const int32_t last_row = (job->first_row + job->n_rows - 1 + (1 << shift) - 1) >> shift, last_col = (job->first_col + job->n_cols - 1 + (1 << shift) - 1) >> shift; \
     number *now = job->lines, *then = now + n, *RESTRICT upper = now + 2 * (ptrdiff_t)n, *RESTRICT rise = now + 3 * (ptrdiff_t)n; \
     number *RESTRICT surface = now + 4 * (ptrdiff_t)n, largest = 0;                                                            \
     for (int32_t row = -1; row < job->n_rows; row++) {                                                                         \
       int32_t place = job->first_row + max_i32(row, 0), part = place & ((1 << shift) - 1);                                     \
       if (row <= 0 || part == 0) {                                                                                             \
-        const int32_t *from = job->heights + (ptrdiff_t)min_i32((place >> shift) + (row >= 0), job->height_rows - 1) * job->height_cols; \
+        const int32_t *from = job->heights + (ptrdiff_t)min_i32((place >> shift) + (row >= 0), last_row) * job->height_cols; \
         int32_t n_between = n_cells;                                                                                           \
-        for (int32_t k = 0; k <= n_cells; k++) now[k] = (number)((from[min_i32(first + k, job->height_cols - 1)] - job->lowest) * ((int64_t)1 << shift)); \
+        for (int32_t k = 0; k <= n_cells; k++) now[k] = (number)((from[min_i32(first + k, last_col)] - job->lowest) * ((int64_t)1 << shift)); \
         for (int i = 0; i < shift; i++, n_between *= 2) {                                                                      \
           for (int32_t k = 0; k < n_between; k++) {                                                                            \
             then[2 * k] = now[k];                                                                                              \

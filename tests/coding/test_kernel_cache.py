@@ -222,6 +222,36 @@ def test_two_processes_never_write_code_to_one_file(installed, tmp_path):
     assert len({name.split("-")[-1] for name in names}) == 2
 
 
+def test_code_gets_a_new_name_each_time_and_old_code_goes(monkeypatch, tmp_path):
+    """Forked processes have all else in common."""
+
+    @kernel
+    def halved(number):
+        return number / 2
+
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "cache"))
+    assert halved(np.int64(5)) == 2.5
+    (first,) = tmp_path.rglob("*.nbc")
+    stale = first.with_name(first.name.replace(".1-", ".7-"))
+    shutil.copy(first, stale)
+    assert halved(np.float32(5)) == 2.5
+    assert not stale.exists()
+    names = [path.name.split("-")[-1] for path in tmp_path.rglob("*.nbc")]
+    assert len(names) == len(set(names)) == 2
+
+
+def test_a_place_that_numba_does_not_find_keeps_nothing(monkeypatch):
+    @kernel
+    def halved(number):
+        return number / 2
+
+    monkeypatch.setattr(config, "CACHE_LOCATOR_CLASSES", "numba.core.caching.IPythonCacheLocator")
+    monkeypatch.setattr(kernel_places._State, "reason", "")
+    monkeypatch.setattr(kernel_places._State, "n_lost", 0)
+    with pytest.warns(TerrainwaveWarning, match="no locator available"):
+        assert halved(np.int64(5)) == 2.5
+
+
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     @kernel
     def halved(number):

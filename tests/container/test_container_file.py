@@ -13,6 +13,7 @@ from container.toys import (
     toy_payload,
 )
 from containers import open_container
+from golden_files import GOLDEN
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +21,7 @@ from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container
 from terrainwave.container.sources.byte_source import BufferSource
+from terrainwave.container.sources.opening import open_source
 from terrainwave.container.sources.ranges import ByteRange
 from terrainwave.container.spool import SectionFile, SegmentSpool
 from terrainwave.container.writer import assemble
@@ -227,3 +229,15 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
         assert container.payload(loud) == b"loud"
         assert container.payload(Block(9, 0, 0)) == b""
         assert container.segment(Block(6, 0, 0)).page.is_empty
+
+
+def test_a_check_reads_index_pages_that_are_known(tmp_path):
+    data = bytearray((GOLDEN / "v2" / "store-int16-segments.twz").read_bytes())
+    path = tmp_path / "a.twz"
+    path.write_bytes(data)
+    with Container(open_source(path)) as container:
+        assert list(container.check()) == []
+        *_, last = container.present_segments()
+        data[container.segment(None).page_range(last.head).offset] ^= 1
+        path.write_bytes(data)
+        assert any("checksum of the page" in line for line in container.check())

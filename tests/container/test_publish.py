@@ -75,7 +75,7 @@ def test_an_exception_leaves_the_target_and_removes_the_part(target, error):
 
 def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "terrainwave.container.targets.publish_module._try_lock",
+        "terrainwave.container.targets.publication._try_lock",
         Mock(side_effect=KeyboardInterrupt),
     )
     with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):

@@ -421,3 +421,10 @@ def test_the_stated_error_of_a_file_can_be_asked_for(tmp_path):
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
         mesh = terrain.mesh(max_error=terrain.effective_error)
         assert mesh.error <= terrain.effective_error * (1 + 1e-12)
+
+
+def test_any_error_beyond_the_heights_makes_the_same_mesh():
+    heights = np.add.outer(np.arange(65), np.arange(65) ** 2).astype(np.int32)
+    with terrainwave.open(terrainwave.compress_to_bytes(heights, block=32)) as found:
+        meshes = [found.mesh(max_error=error) for error in (1e7, 1e18, 1e300)]
+    assert len({len(mesh.triangles) for mesh in meshes}) == 1

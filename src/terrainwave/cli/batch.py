@@ -32,6 +32,7 @@ from terrainwave.progress import Progress, ProgressCallback
 
 NAME = ".terrainwave-manifest.jsonl"
 UNKNOWN = "no manifest says what it was made of"
+_MOST_LINES = 100
 
 # Takes source, target, and the difference found by the manifest; returns why the target is not what
 # the command makes of the source, None if it is.
@@ -97,7 +98,7 @@ class Manifest:
     def _write(self, entry: dict[str, Any]) -> None:
         """Append a line; without it, the next run compares the files themselves."""
         # The line feed comes first: a truncated line spoils no other.
-        line = "\n" + json.dumps(entry, ensure_ascii=True, sort_keys=True)
+        line = "\n" + _line(entry)
         with self._lock:
             self._entries[entry["target"]] = entry
             with suppress(OSError), self._path.open("a", encoding="ascii") as file:
@@ -130,7 +131,22 @@ def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
             entry = json.loads(line)
             if isinstance(entry, dict) and isinstance(entry.get("target"), str):
                 entries[entry["target"]] = entry
+    if len(lines) > _MOST_LINES + 4 * len(entries):
+        _shorten(path, entries)
     return entries
+
+
+def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
+    """Keep one line per target. Targets that another run adds meanwhile are compared again."""
+    from terrainwave.container.targets.publication import publish
+    from terrainwave.errors import StorageError
+
+    with suppress(StorageError), publish(path, overwrite=True) as part:
+        part.file.write("\n".join(map(_line, entries.values())).encode("ascii"))
+
+
+def _line(entry: dict[str, Any]) -> str:
+    return json.dumps(entry, ensure_ascii=True, sort_keys=True)
 
 
 @dataclass(frozen=True)

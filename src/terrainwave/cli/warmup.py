@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
-from terrainwave.coding.native_library import SWITCH
+from terrainwave.coding.native_library import SWITCH, is_used
 from terrainwave.container.targets.publication import system_scratch
 from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
@@ -67,9 +67,11 @@ def _without_library() -> Iterator[None]:
     """Let kernels do what the native library does, too: it leaves some work to some of them."""
     before = os.environ.get(SWITCH)
     os.environ[SWITCH] = "0"
+    is_used.cache_clear()
     try:
         yield
     finally:
+        is_used.cache_clear()
         del os.environ[SWITCH]
         if before is not None:
             os.environ[SWITCH] = before

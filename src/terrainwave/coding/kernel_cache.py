@@ -34,19 +34,15 @@ _SETTINGS = (
     "JIT_COVERAGE",
 )
 _PACKAGE = Path(__file__).parents[1]
-# In the names of files that this process writes: two processes that compile a kernel at once must
-# not write different code to one file.
-_PROCESS = uuid.uuid4().hex[:12]
 
 _log = logging.getLogger(__name__)
 
 
 @cache
 def _digest_of_package() -> bytes:
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.digest()
+    paths = [path for path in sorted(_PACKAGE.rglob("*.py")) if not path.name.startswith(".")]
+    texts = [(str(path.relative_to(_PACKAGE)), path.read_bytes()) for path in paths]
+    return hashlib.sha256(repr(texts).encode()).digest()
 
 
 @cache
@@ -92,7 +88,20 @@ class _Entries(FunctionCache):
         super().__init__(function)
         files = self._cache_file
         files._source_stamp = stamp_of(function.__code__.co_filename)
-        files._data_name_pattern = f"{self._impl.filename_base}.{{number}}-{_PROCESS}.nbc"
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save code to a file of a new name, which no process gives to other code.
+
+        Delete those that the index names no more: numba would only write over them.
+        """
+        files, start = self._cache_file, f"{self._impl.filename_base}."
+        files._data_name_pattern = f"{start}{{number}}-{uuid.uuid4().hex[:12]}.nbc"
+        super().save_overload(sig, data)
+        named = set(files._load_index().values())
+        for path in Path(self.cache_path).iterdir():
+            if path.name.startswith(start) and path.suffix == ".nbc" and path.name not in named:
+                with suppress(OSError):
+                    path.unlink()
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         """Return the key of an entry.
@@ -113,8 +122,7 @@ class KernelCache:
             # Taken now, because the sources may be replaced before the compilation.
             stamp_of(function.__code__.co_filename)
         except OSError as error:  # in a zip, for example
-            reason = error.strerror or error
-            source = function.__code__.co_filename
+            source, reason = error.filename, error.strerror or error
             self._reason = f"{source} cannot be read ({reason}); install the package as files"
 
     @cached_property
@@ -125,7 +133,11 @@ class KernelCache:
 
     @cached_property
     def _entries(self) -> list[_Entries]:
-        return [_Entries(self.function, folder) for folder in self.place.folders]
+        try:
+            return [_Entries(self.function, folder) for folder in self.place.folders]
+        except RuntimeError as error:  # NUMBA_CACHE_LOCATOR_CLASSES names a place that is none
+            self.place = KernelPlace((), reason=str(error))
+            return []
 
     @property
     def cache_path(self) -> str | None:

@@ -315,7 +315,9 @@ class Container:
                         continue
                 byte_pos = start + length
                 try:
-                    segment = self.segment(child)
+                    with self._blaming_change():  # what is known of it may be older
+                        data = self.source.read(*parent.page_range(child))
+                        segment = self._unpack_segment(child, parent, data)
                 except TerrainwaveError as error:
                     yield str(error)
                     continue

@@ -74,11 +74,33 @@ def publish_site(
 ) -> list[PublishedTerrain]:
     """Write a folder that shows .twz files from any static web server.
 
-    It has index.html, the page's and the reader's modules, copies of the files and terrains.json,
-    and appears complete or not at all. Options are those of `serve.app.make_app`. Raises
-    `InvalidHeightsError` if browsers cannot read a file's method, the raster has no position on a
-    globe or none that polynomials can express, or two files have the same name. Raises
-    `CorruptStreamError` if a file is not a .twz file, `StorageError` if reading or writing fails.
+    Parameters
+    ----------
+    paths : list of str
+        Paths or URLs of .twz files; they are copied.
+    directory : path
+        Gets index.html, the page's and the reader's modules, the files and terrains.json; it
+        appears complete or not at all.
+    radius : float, optional
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    encoding : {"mapbox", "terrarium"}
+        Encoding of the page's terrain-RGB tiles; a warning names each file with heights outside its
+        range.
+    sea_level : {"auto", "none"} or float
+        Height in metres below which the page's colours show water, or none; by default 0 if there
+        are heights below -450 m.
+    overwrite : bool
+        Replace an existing folder of this kind.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If browsers cannot read a file's method, the raster has no position on a globe or none that
+        polynomials can express, or two files have the same name.
+    CorruptStreamError
+        If a file is not a .twz file.
+    StorageError
+        If something cannot be read or written.
     """
     tiling.encoding_of(encoding)
     SEA_LEVEL.checked("sea_level", sea_level)
@@ -97,8 +119,25 @@ def write_site(
 ) -> list[PublishedTerrain]:
     """Write a folder with a page that shows and proves the .twz files of its visitors.
 
-    The folder is that of `publish_site` with three samples, which are returned. The page opens
-    files that are dropped on it or named by a URL, and compares them with their original GeoTIFFs.
+    The folder is that of `publish_site` with three samples. The page opens files that are dropped
+    on it or named by a URL, and compares them with their original GeoTIFFs.
+
+    Parameters
+    ----------
+    directory : path
+        As in `publish_site`.
+    overwrite : bool
+        Replace an existing folder of this kind.
+
+    Returns
+    -------
+    list of PublishedTerrain
+        The samples.
+
+    Raises
+    ------
+    StorageError
+        If something cannot be read or written.
     """
     samples = sorted((reader_directory() / _SITE / "samples").glob("*.twz"))
     paths = [str(path) for path in samples]

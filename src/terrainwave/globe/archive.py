@@ -72,8 +72,6 @@ def write_pmtiles(
 ) -> list[ArchivedZoom]:
     """Write a terrain's terrain-RGB tiles as one PMTiles archive.
 
-    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
-
     Parameters
     ----------
     terrain : TerrainFile
@@ -98,6 +96,22 @@ def write_pmtiles(
     options
         Of `terrain_rgb.look_of`; `image` is WebP by default, smaller than PNG.
         A warning lists heights outside the encoding's range.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is out of range, or the raster has no valid height, or no position on a
+        globe.
+    CorruptStreamError
+        If a block is damaged.
+    StorageError
+        If something cannot be written.
+    TerrainwaveError
+        If pmtiles or pillow is missing.
+
+    Notes
+    -----
+    Tiles without terrain are left out. While it runs, a temporary file holds the tiles as well.
     """
     check_ending(target, (ARCHIVE_ENDING,))
     need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")

@@ -35,7 +35,7 @@ _AHEAD = 4
 
 
 class TilePyramid(TileScheme):
-    """The tiles of a terrain. Thread-safe.
+    """The tiles of a terrain.
 
     Parameters
     ----------
@@ -58,6 +58,16 @@ class TilePyramid(TileScheme):
     vertical : {"as-is", "ellipsoid"}
         Assume that heights are above the ellipsoid, or convert them from the CRS's vertical datum
         by PROJ's grid.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the raster has no position on a globe, heights cannot be converted or are beyond ±4000
+        km, or (when tiles are requested) a zoom is out of range.
+
+    Notes
+    -----
+    Thread-safe. The same file gives the same bytes on any number of threads.
     """
 
     def __init__(
@@ -115,7 +125,15 @@ class TilePyramid(TileScheme):
     def tile(self, zoom: int, x: int, y: int) -> TileMesh | None:
         """Return a tile; None if it does not exist.
 
-        x counts from longitude -180 eastwards, y from latitude -90 northwards.
+        Parameters
+        ----------
+        zoom, x, y : int
+            x counts from longitude -180 eastwards, y from latitude -90 northwards.
+
+        Raises
+        ------
+        CorruptStreamError
+            If a block is damaged.
         """
         if not any(tiles.contains(x, y) for tiles in self.available(zoom)):
             return None
@@ -163,6 +181,17 @@ def write_tiles(
         Replace an existing directory of tiles.
     options
         Of `TilePyramid`.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an option is out of range, or the raster has no position on a globe.
+    CorruptStreamError
+        If a block is damaged.
+    StorageError
+        If something cannot be written.
+    TerrainwaveError
+        If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder", extra="mesh")
     pyramid = TilePyramid(terrain, **options)

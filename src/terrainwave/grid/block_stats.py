@@ -143,16 +143,19 @@ def largest_deviation(
     n, skipped = np.uint64(n_places), np.uint64(first_col - (first_cell << shift))
     upper, rise, surface = n * np.uint64(_UPPER), n * np.uint64(_RISE), n * np.uint64(_SURFACE)
     n_cells = (n_places - 1) >> shift
+    # What lies beyond is not in the range that `lines` have room for.
+    last_row = (first_row + n_rows - 1 + (1 << shift) - 1) >> shift
+    last_col = (first_col + n_cols - 1 + (1 << shift) - 1) >> shift
     largest = cast(0)
     for row in range(-1, n_rows):
         place = first_row + max(row, 0)
         part = place - ((place >> shift) << shift)
         if row <= 0 or part == 0:
             # The row of samples above the first one, then always the one below.
-            cell_row = np.uint64(min((place >> shift) + np.int64(row >= 0), heights.shape[0] - 1))
+            cell_row = np.uint64(min((place >> shift) + np.int64(row >= 0), last_row))
             now, then = np.uint64(0), n
             for k in range(np.uint64(n_cells + 1)):
-                cell = np.uint64(min(first_cell + np.int64(k), heights.shape[1] - 1))
+                cell = np.uint64(min(first_cell + np.int64(k), last_col))
                 lines[now + k] = cast((np.int64(heights[cell_row, cell]) - lowest) << shift)
             n_between = np.uint64(n_cells)
             for _ in range(shift):

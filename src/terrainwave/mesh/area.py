@@ -170,7 +170,8 @@ class _Extractor(Generic[Made]):
                 f" {float(smallest * self._quantum):g}: the heights of this level are no nearer to"
                 " the originals"
             )
-        return max(as_fraction(max_error) / self._quantum, smallest)
+        # Heights span less than 2^30 quanta: no surface is further away.
+        return max(min(as_fraction(max_error) / self._quantum, Fraction(1 << 33)), smallest)
 
     def _stored_mesh(self) -> Made:
         if self._header.mesh == "none":

@@ -220,9 +220,9 @@ def _new_job(
 ) -> tuple[_Job, list[NDArray[Any]]]:  # fmt: skip
     """Return a unit as the library takes it, and the arrays it refers to; the first has heights.
 
-    It is `out`, if that has no gaps.
+    It is `out`, if C can write there.
     """
-    if out is None or not out.flags.c_contiguous:
+    if out is None or not (out.flags.carray and out.dtype == np.int32):
         out = new_heights(spec.region.shape)
     arrays: list[NDArray[Any]] = [out]
     job = _Job(

@@ -268,7 +268,7 @@ def kept_directory(
 
     It is called ``.name.digits.twz-kept``. It is removed at the end of the block, unless the block
     raises an exception after work was kept: then a note of the exception names it. The caller must
-    be the only writer of `target` (`unfinished.only_writer`). `fresh` discards an earlier run's
+    be the only writer of `target` (`publication.only_writer`). `fresh` discards an earlier run's
     work; without `run` nothing is kept. Raises `StorageError` if the directory cannot be used.
     """
     path = own_path(target, Path(parent), KEPT_SUFFIX)

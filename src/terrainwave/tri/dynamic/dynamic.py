@@ -509,6 +509,8 @@ def mark_top_down(
                     n_changed += 5
                 if is_after or error < tau:
                     continue
+                if is_root and is_stepwise and not error > tau:
+                    continue
                 if is_root:
                     n_more += _split(node, child, down, z, marks)
                     n_changed += 5
