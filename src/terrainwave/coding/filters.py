@@ -84,8 +84,9 @@ def lowpass_analysis(
 def _analyse(
     heights: NDArray[Any], first: int, n: int, out_first: int, n_out: int
 ) -> NDArray[np.int64]:
-    """Return every second row of `n`, low-passed, of which `heights` holds those from `first` on.
+    """Return every second row of a level with `n` rows, low-passed.
 
+    `heights` holds its rows from `first` on, as far as the result needs them.
     Taps sum to less than 1.6 * 2**14 in magnitude, so 2**30 grows to less than 2**60.
     """
     places = np.arange(2 * out_first - _HALO, 2 * (out_first + n_out) + _HALO - 1)

@@ -159,7 +159,7 @@ def _low(
     heights: NDArray[Any], first: int, n: int, out_first: int, n_out: int, tile_cells: int,
     n_tiles: int,
 ) -> NDArray[np.int64]:  # fmt: skip
-    """Return s of every second of `n` rows, of which `heights` holds those from `first` on."""
+    """Return s of every second row of a level with `n` rows; `heights` begins with row `first`."""
     places = 2 * (out_first + np.arange(n_out))
     here = heights[places - first].astype(np.int64)
     if n == 1:

@@ -97,7 +97,7 @@ class Layers:
 
 
 def composed(region: Region, layers: Iterable[tuple[Any, Region]], gap: Callable[[], Any]) -> Any:
-    """Return the common value of a region's layers, of which the last counts; None in doubt."""
+    """Return the common value of a region's layers, where the last one counts; None in doubt."""
     value, parts = None, list[Region]()
     for above, place in layers:
         part = place.intersect(region)

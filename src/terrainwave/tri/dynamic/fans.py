@@ -49,7 +49,7 @@ def forest_of(
     `layouts` and `marks` are those of each mesh, `first_trees` row and column of its first tree
     from a common origin, `owned` the trees, in rows and columns, that it draws in any case.
     Adjacent ones are a ring: drawn where no mesh has a tree of its own; by the first mesh, if there
-    are several. Trees further out are not drawn. `vertex_of`, int32, is to be filled for all nodes.
+    are several. Trees further out are not drawn. The caller fills `vertex_of` for all nodes.
     """
     shapes = [tuple(layout[-1, 1:].tolist()) for layout in layouts]
     least = [min(first[axis] for first in first_trees) for axis in (0, 1)]
